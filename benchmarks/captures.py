@@ -202,7 +202,7 @@ def _fitted(row: Row, capture: Path, folder: Path) -> Fitted:
     options = [*row.options, *(("--masks", masks) if masks else ())]
     run = _nerfbake("fit", str(capture), str(folder / f"{row.name}.npz"), *options, "--json")
     fit = Fit(row.name, json.loads(run.facts["stdout"]), run.peak)
-    views = read_photographs(SILENT, Source(str(capture)), PhotographOptions(masks=masks)).judges
+    views = read_photographs(SILENT, Source(str(capture)), PhotographOptions(masks=masks)).held_out
     decibels = [view["psnr"] for view in fit.facts["views"]]
     return Fitted(fit, run, views, decibels, build_field(load(fit.facts["file"], N3Tree)))
 

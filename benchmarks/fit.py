@@ -83,7 +83,7 @@ STRUCTURES = (
 )
 
 
-class Judges(NamedTuple):
+class HeldOutViews(NamedTuple):
     """views: the held-out views, rendered with samples x samples rays a pixel. cameras: the file of timed cameras."""
 
     views: Views
@@ -96,12 +96,14 @@ class Judges(NamedTuple):
         return sum(error.psnr for error in errors) / len(errors)
 
 
-def structure_rows(fitted: Path, judges: Judges, folder: Path, *, rounds: int, progress: Progress) -> list[list[Any]]:
+def structure_rows(
+    fitted: Path, held_out: HeldOutViews, folder: Path, *, rounds: int, progress: Progress
+) -> list[list[Any]]:
     """Return a row for each structure and resolution of a PlenOctree from fit, or a row with the error."""
     with progress(f"judging {fitted.name}"):
         octree = nerfbake.build_octree(io.load(fitted, nerfbake.N3Tree))
-        edge, own = max(octree.size), judges.psnr(fitted)
-        rows = [["PlenOctree, as fit wrote it", edge, *_figures(fitted, fitted.stat().st_size, own, judges, rounds)]]
+        edge, own = max(octree.size), held_out.psnr(fitted)
+        rows = [["PlenOctree, as fit wrote it", edge, *_figures(fitted, fitted.stat().st_size, own, held_out, rounds)]]
     coarse = nerfbake.cut_octree(octree, level=octree.grid_level - 1)
     for tree in (octree, coarse):
         for structure in STRUCTURES:
@@ -109,7 +111,7 @@ def structure_rows(fitted: Path, judges: Judges, folder: Path, *, rounds: int, p
             with progress(f"{structure.name}, R = {edge}"):
                 try:
                     size = _written(structure, tree, path)
-                    rows.append([structure.name, edge, *_figures(path, size, own, judges, rounds)])
+                    rows.append([structure.name, edge, *_figures(path, size, own, held_out, rounds)])
                 except NerfbakeError as error:
                     rows.append([f"{structure.name}: {error.line}", edge, *[None] * (len(COLUMNS) - 2)])
     return rows
@@ -121,15 +123,15 @@ def _written(structure: Structure, octree: SparseVoxelOctree, path: Path) -> int
     return io.save(path, volume, force=True, codec=structure.codec)
 
 
-def _figures(path: Path, size: int, own: float, judges: Judges, rounds: int) -> list[Any]:
+def _figures(path: Path, size: int, own: float, held_out: HeldOutViews, rounds: int) -> list[Any]:
     """Return the cells after the resolution; own: the PSNR in dB of the file from fit."""
-    seen = judges.psnr(path)
-    return [size / 1e6, f"{seen:.2f}", f"{seen - own:.2f}", *_frames(path, judges, rounds)]
+    seen = held_out.psnr(path)
+    return [size / 1e6, f"{seen:.2f}", f"{seen - own:.2f}", *_frames(path, held_out, rounds)]
 
 
-def _frames(path: Path, judges: Judges, rounds: int) -> list[Any]:
+def _frames(path: Path, held_out: HeldOutViews, rounds: int) -> list[Any]:
     """Measure milliseconds a frame and frames a second in a separate process."""
-    arguments = {"path": str(path), "cameras": judges.cameras, "edge": EDGE, "lookup": "nearest"}
+    arguments = {"path": str(path), "cameras": held_out.cameras, "edge": EDGE, "lookup": "nearest"}
     found = [measure(rendering, truth=f"{path}.frames.npy", **arguments) for _ in range(rounds)]
     if found[0].error:
         return [found[0].error, None]
@@ -137,7 +139,7 @@ def _frames(path: Path, judges: Judges, rounds: int) -> list[Any]:
     return [frame, 1e3 / frame.median]
 
 
-COURSES = ("fast", "balanced", "best")  # presets; a course can also be a number of minutes
+PRESETS = ("fast", "balanced", "best")  # presets; a schedule can also be a number of minutes
 OVER_TIME = "PSNR over time"
 CURVE = ["fit", "s", "lattice", "cells", "PSNR dB", "of"]
 FITS = ["fit", "s", "PSNR dB", "SSIM", "cells", "MB", "peak MB", "schedule"]
@@ -151,7 +153,7 @@ FIT_NOTES = [
 class Fit(NamedTuple):
     """A fit: its preset, minutes or name, the output of `nerfbake fit --json`, and the peak memory of its process."""
 
-    course: str
+    schedule: str
     facts: dict[str, Any]
     peak: int
 
@@ -160,25 +162,25 @@ def compare_fits(
     source: str,
     views: Views,
     *,
-    courses: Sequence[str] = COURSES,
+    schedules: Sequence[str] = PRESETS,
     samples: int = 2,
     resolution: int = 256,
     rounds: int,
     progress: Progress,
 ) -> Report:
-    """Fit `source` in each course, a preset or minutes, and return the report.
+    """Fit `source` in each schedule, a preset or minutes, and return the report.
 
     views: the views that fit holds out. rounds: how often frames are timed. Raises NerfbakeError if a fit fails.
     """
     with TemporaryDirectory(prefix="nerfbake-bench-") as name:
         folder = Path(name)
         fits = []
-        for course in courses:
-            with progress(f"fitting, {' '.join(_choice(course))}"):
-                fits.append(fitted(source, folder, course, samples, resolution))
+        for schedule in schedules:
+            with progress(f"fitting, {' '.join(_choice(schedule))}"):
+                fits.append(fitted(source, folder, schedule, samples, resolution))
         last = Path(fits[-1].facts["file"])
-        judges = Judges(views, samples, _timed(views, folder))
-        structures = structure_rows(last, judges, folder, rounds=rounds, progress=progress)
+        held_out = HeldOutViews(views, samples, _timed(views, folder))
+        structures = structure_rows(last, held_out, folder, rounds=rounds, progress=progress)
         octree = nerfbake.build_octree(io.load(last, nerfbake.N3Tree))
         density = nerfbake.build_vdb(octree, grids=("density",))
         rays = ray_rows(max(octree.size), density, views.cameras.cameras, progress)
@@ -193,7 +195,7 @@ def compare_fits(
         Table("Fits, from the written file", FITS, [_fit_row(fit) for fit in fits]),
         Table(OVER_TIME, CURVE, [row for fit in fits for row in curve_rows(fit)]),
         plenvdb_table(),
-        Table(f"Structures of the fit `{fits[-1].course}` (PlenVDB's table 4 for this scene)", COLUMNS, structures),
+        Table(f"Structures of the fit `{fits[-1].schedule}` (PlenVDB's table 4 for this scene)", COLUMNS, structures),
         MERGING,
         ray_table(rays, " (PlenVDB's table 1 for this scene)"),
     ]
@@ -208,23 +210,23 @@ def chart_fits(report: Report, suffix: str) -> bytes:
     return lines(curves, title=report.title, x="CPU seconds / 2", y="PSNR dB", suffix=suffix)
 
 
-def fitted(source: str, folder: Path, course: str, samples: int, resolution: int) -> Fit:
+def fitted(source: str, folder: Path, schedule: str, samples: int, resolution: int) -> Fit:
     """Run a fit in a separate process, with its file in the folder. Raises NerfbakeError with its last line."""
-    command = [sys.executable, "-m", "nerfbake", "fit", source, str(folder / f"{course}.npz"), *_choice(course)]
+    command = [sys.executable, "-m", "nerfbake", "fit", source, str(folder / f"{schedule}.npz"), *_choice(schedule)]
     command += ["--samples", str(samples), "--resolution", str(resolution), "--json", "-q"]
     found = measure_process(*command, keep=True)
-    return Fit(course, json.loads(found.facts["stdout"]), found.peak)
+    return Fit(schedule, json.loads(found.facts["stdout"]), found.peak)
 
 
-def _choice(course: str) -> list[str]:
-    return ["--preset", course] if course in COURSES else ["--minutes", course]
+def _choice(schedule: str) -> list[str]:
+    return ["--preset", schedule] if schedule in PRESETS else ["--minutes", schedule]
 
 
 def _fit_row(fit: Fit) -> list[Any]:
     facts = fit.facts
     cells = facts["curve"][-1]["cells"] if facts["curve"] else None
     shown = [f"{facts['psnr']:.2f}", f"{facts['ssim']:.4f}", cells, facts["bytes"] / 1e6]
-    return [fit.course, facts["cpu_seconds"] / 2, *shown, fit.peak / 1e6, facts["epochs"]]
+    return [fit.schedule, facts["cpu_seconds"] / 2, *shown, fit.peak / 1e6, facts["epochs"]]
 
 
 def curve_rows(fit: Fit) -> list[list[Any]]:
@@ -234,7 +236,7 @@ def curve_rows(fit: Fit) -> list[list[Any]]:
     points.append((fit.facts["cpu_seconds"], *last, fit.facts["psnr"]))
     of = ["a handful"] * (len(points) - 1) + ["the written file"]
     return [
-        [fit.course, seconds / 2, *size, f"{psnr:.2f}", what]
+        [fit.schedule, seconds / 2, *size, f"{psnr:.2f}", what]
         for (seconds, *size, psnr), what in zip(points, of, strict=True)
     ]
 
@@ -258,10 +260,10 @@ chart = chart_fits
 
 def reports(scenes: Scenes, *, rounds: int = ROUNDS) -> dict[str, list[Report]]:
     source = str(scenes.capture)
-    views = read_photographs(SILENT, Source(source)).judges
+    views = read_photographs(SILENT, Source(source)).held_out
     options: dict[str, Any] = {"resolution": RESOLUTION, "rounds": rounds, "progress": announced}
-    report = compare_fits(source, views, courses=tuple(FIT), **options)
-    single = compare_fits(source, views, courses=("balanced",), samples=1, **options)
+    report = compare_fits(source, views, schedules=tuple(FIT), **options)
+    single = compare_fits(source, views, schedules=("balanced",), samples=1, **options)
     refits = Table(f"`nerfbake refit` of {scenes.chair.name} at {COARSE}^3", REFITS, _refit_rows(scenes))
     fits, *others = report.tables
     tables = [fits, _aims(fits, single.tables[0], refits), *others, refits]

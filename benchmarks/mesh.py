@@ -100,7 +100,7 @@ def reports(scenes: Scenes, *, rounds: int = 1) -> dict[str, list[Report]]:
     """Measure every row once: a mesh takes minutes, and has the same bytes in every round."""
     if rounds != 1:
         raise ValueError("meshes take minutes, so there is one round")
-    posed = read_photographs(SILENT, Source(str(scenes.capture)))
+    split = read_photographs(SILENT, Source(str(scenes.capture)))
     cells: list[list[Any]] = []
     points: list[list[Any]] = []
     figures: dict[str, float] = {}
@@ -117,12 +117,12 @@ def reports(scenes: Scenes, *, rounds: int = 1) -> dict[str, list[Report]]:
             figures |= {"CPU s": facts["cpu_seconds"], "peak MB": run.peak / 1e6}
         if row.out == FOLDER.out:
             figures |= {"dB": facts["psnr"], "worst view dB": min(view["psnr"] for view in facts["views"])}
-    cells.append(plain := _contender(scenes, posed))
+    cells.append(plain := _contender(scenes, split))
     points.append([CONTENDER, plain[2], float(plain[3])])
     tables = [
         Table("Meshes of the chair, from the written file", COLUMNS, cells),
         aims_table([(label, aim, figures.get(label)) for label, aim in MESH.items()]),
-        Table("Atlases of the folder", BAKED, _atlas_rows(scenes, posed.judges, figures.get("dB"))),
+        Table("Atlases of the folder", BAKED, _atlas_rows(scenes, split.held_out, figures.get("dB"))),
         Table("PSNR by size", ["meshes", "MB", "dB"], points),
     ]
     head = {"rays a pixel": f"{SAMPLES}x{SAMPLES}", **environment("numpy", "numba", "fast-simplification", "nerfbake")}
@@ -153,17 +153,17 @@ def _cells(name: str, facts: dict[str, Any], peak: int) -> list[Any]:
     return [name, *size, *told, f"{facts['iou']:.4f}", facts["cpu_seconds"], peak / 1e6]
 
 
-def _contender(scenes: Scenes, posed: SplitViews) -> list[Any]:
+def _contender(scenes: Scenes, split: SplitViews) -> list[Any]:
     """Plain marching cubes, at the level that is best on some training views."""
     octree = build_octree(load(scenes.chair, N3Tree))
-    some = posed.trained.take(range(0, len(posed.trained.pictures), 10))
+    some = split.training.take(range(0, len(split.training.pictures), 10))
     meshes = [Meshes((marched(octree, level),)) for level in LEVELS]
     best = max(meshes, key=lambda mesh: float(np.mean([each.psnr for each in measure_views(mesh, some)])))
     size = save(scenes.folder / "contender.ply", best, force=True)
-    views = measure_views(best, posed.judges, samples=SAMPLES)
+    views = measure_views(best, split.held_out, samples=SAMPLES)
     figures = [float(np.mean([getattr(each, name) for each in views])) for name in ("psnr", "ssim")]
     told = [f"{figures[0]:.2f}", None, f"{figures[1]:.4f}", f"{min(each.psnr for each in views):.2f}"]
-    iou = float(np.mean(measure_silhouettes(best, posed.judges)))
+    iou = float(np.mean(measure_silhouettes(best, split.held_out)))
     return [CONTENDER, len(best.meshes[0].faces), size / 1e6, *told, f"{iou:.4f}", None, None]
 
 
@@ -185,7 +185,7 @@ def marched(octree: SparseVoxelOctree, level: float) -> Mesh:
     return Mesh(places.astype(np.float32), None, faces.astype(np.uint32), colours=colours.astype(np.float32))
 
 
-def _atlas_rows(scenes: Scenes, judges: Views, whole: float | None) -> list[list[Any]]:
+def _atlas_rows(scenes: Scenes, held_out: Views, whole: float | None) -> list[list[Any]]:
     """Bake the folder's atlases, and measure them on the held-out photographs."""
     rows: list[list[Any]] = []
     for name, options in ATLASES.items():
@@ -197,14 +197,14 @@ def _atlas_rows(scenes: Scenes, judges: Views, whole: float | None) -> list[list
         except NerfbakeError as error:
             rows.append([f"{name}: {error.line}", None, None])
             continue
-        decibels = _measured(folder, judges)
+        decibels = _measured(folder, held_out)
         rows.append([name, f"{decibels:.2f}", None if whole is None else f"{whole - decibels:.2f}"])
     return rows
 
 
-def _measured(folder: Path, judges: Views) -> float:
+def _measured(folder: Path, held_out: Views) -> float:
     baked, found = load(folder, BakedAtlas), []
-    for number, camera in enumerate(judges.cameras.cameras):
-        made = render_stage1(baked, camera, background=judges.background, samples=SAMPLES).colour
-        found.append(psnr(made.astype(np.float64), judges.photograph(number).astype(np.float64)))
+    for number, camera in enumerate(held_out.cameras.cameras):
+        made = render_stage1(baked, camera, background=held_out.background, samples=SAMPLES).colour
+        found.append(psnr(made.astype(np.float64), held_out.photograph(number).astype(np.float64)))
     return float(np.mean(found))

@@ -26,7 +26,7 @@ def reports(scenes: Scenes, *, rounds: int = 1) -> dict[str, list[Report]]:
         state = str(scenes.folder / "papers")
         report, batch = compare_papers(str(scenes.nerf_synthetic), state=state, scenes=(SCENE,), presets=tuple(PAPERS))
     if report is None:
-        raise NerfbakeError(batch.told)
+        raise NerfbakeError(batch.summary)
     fits, *others = report.tables
     return {"papers": [report._replace(tables=[fits, _aims(fits), *others])]}
 

@@ -20,10 +20,10 @@ from benchmarks.scenes import Scenes
 from nerfbake import SparseVoxelOctree, Splats, build_field, compare_scenes, load, orbit_cameras, render_splats
 from nerfbake.bench.environment import environment
 from nerfbake.bench.report import Report, Table
-from nerfbake.jobs import SplatsModel, SplatsOptions, bake_splats
+from nerfbake.jobs import SplatsOptions, SplatsViews, bake_splats
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.fit_state import Clock
-from nerfbake.jobs.photographs import ALL, read_photographs
+from nerfbake.jobs.photographs import read_photographs
 from nerfbake.jobs.splat_voxels import EPOCHS, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import SILENT
 from nerfbake.stages.views_to_error import measure_views
@@ -102,9 +102,9 @@ def _baked(scenes: Scenes, figures: dict[str, float]) -> list[list[Any]]:
             continue
         with announced(f"splats of the chair, fitted to {name}"):
             target = scenes.folder / f"{name}.spz"
-            found = bake_splats(scenes.chair, target, SplatsModel(views), recipe=SPLATS)
-            judges = read_photographs(SILENT, Source(str(scenes.capture)), ALL).judges
-            errors = measure_views(load(target, Splats), judges)
+            found = bake_splats(scenes.chair, target, SplatsViews(views=views), options=SPLATS)
+            held_out = read_photographs(SILENT, Source(str(scenes.capture))).held_out
+            errors = measure_views(load(target, Splats), held_out)
         decibels = sum(each.psnr for each in errors) / len(errors)
         rows.append([name, found.splats, found.bytes / 1e6, found.worked, f"{decibels:.2f}"])
         figures |= {f"{name}: s": found.worked, f"{name}: PSNR dB": decibels, f"{name}: MB": found.bytes / 1e6}

@@ -67,7 +67,7 @@ def draw_chair() -> None:
         jobs.compress_file(CHAIR, smaller, goal=jobs.CompressionGoal(max_size=800_000))
         camera = load(CAPTURE / "transforms_test.json", Cameras).cameras[VIEW]
         camera = replace(camera.resized(420, 420), focal=CLOSER * camera.resized(420, 420).fx)
-        seen = jobs.ComparedViews(str(CAPTURE / "transforms_test.json"), str(CAPTURE / "test"))
+        seen = jobs.ComparedViews(cameras=str(CAPTURE / "transforms_test.json"), truth=str(CAPTURE / "test"))
         pictures = []
         for path in (octree, index, small, smaller):
             found = jobs.compare_files(CHAIR, path, seen=seen).found
@@ -100,7 +100,7 @@ def draw_capture() -> None:
         for path in (PHONE / "images").iterdir():
             with Pillow.open(path) as photograph:
                 photograph.reduce(2).save(phone / "images" / path.name, format="PNG")
-        fitted = jobs.fit_file(phone, scene, recipe=jobs.FitOptions(preset="fast"))
+        fitted = jobs.fit_file(phone, scene, options=jobs.FitOptions(preset="fast"))
         print(f"{fitted.worked / 2:.0f} seconds on two cores, {fitted.psnr:.2f} dB")
         print(*(f"{view.name} {view.psnr:.2f} dB" for view in fitted.views), sep="\n")
         tree = load(scene, N3Tree)
@@ -126,7 +126,7 @@ def draw_mesh() -> None:
     """The chair as a field, as a mesh with highlights, as a mesh with one texture, and its triangles."""
     with tempfile.TemporaryDirectory() as folder:
         for out in (stage1 := Path(folder) / "stage1", glb := Path(folder) / "chair.glb"):
-            print(jobs.bake_mesh(CHAIR, out, model=jobs.MeshViews(str(CAPTURE))).quality)
+            print(jobs.bake_mesh(CHAIR, out, pictures=jobs.MeshViews(views=str(CAPTURE))).quality)
         glossy, plain = load(stage1, Stage1), load(glb, Meshes)
     camera = load(CAPTURE / "transforms_test.json", Cameras).cameras[VIEW].resized(420, 420)
     camera = replace(camera, focal=CLOSER * camera.fx)

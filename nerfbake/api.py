@@ -56,6 +56,16 @@ def fit(
 
     terminal = sys.stderr is not None and sys.stderr.isatty()
     steps = Console(quiet=False, verbose=False, mode="auto" if terminal else "plain") if progress else SILENT
-    recipe = FitOptions(preset, minutes, epochs, resolution, samples, basis, box, seed, exposure)
-    album = PhotographOptions(background, masks, test, holdout, scenery)
-    return fit_scene(source, album=album, recipe=recipe, dtype=dtype, steps=steps)
+    options = FitOptions(
+        preset=preset,
+        minutes=minutes,
+        epochs=epochs,
+        resolution=resolution,
+        samples=samples,
+        basis=basis,
+        box=box,
+        seed=seed,
+        exposure=exposure,
+    )
+    photographs = PhotographOptions(background=background, masks=masks, test=test, holdout=holdout, scenery=scenery)
+    return fit_scene(source, photographs=photographs, options=options, dtype=dtype, steps=steps)

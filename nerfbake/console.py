@@ -85,7 +85,7 @@ class Console:
     """
 
     def __init__(self, *, quiet: bool, verbose: bool, mode: Mode = "auto") -> None:
-        self._quiet, self._verbose, self._told = quiet, verbose, False
+        self._quiet, self._verbose, self._noted = quiet, verbose, False
         self._steps: list[ConsoleStep] = []
         terminal = sys.stderr is not None and sys.stderr.isatty()
         self._mode = None if quiet else mode if mode != "auto" else "bar" if terminal else None
@@ -150,8 +150,8 @@ class Console:
         return next(known, steps[0])
 
     def _tell_of_uncached_kernels(self) -> None:
-        if compile_times.uncached and not self._told:
-            self._told = True
+        if compile_times.uncached and not self._noted:
+            self._noted = True
             self.say("note: no cache folder can be written (read-only, or full), so kernels are compiled again")
 
 

@@ -45,7 +45,7 @@ def _table(scene: Any) -> str:
         facts = summarise_scene(scene)
     except (NerfbakeError, AttributeError):  # it has no summary, or is invalid
         facts = {}
-    rows = {"scene": str(scene)} | {name: _told(name, value) for name, value in facts.items()}
+    rows = {"scene": str(scene)} | {name: _value_text(name, value) for name, value in facts.items()}
     cells = "".join(
         f"<tr><th>{escape(name.replace('_', ' '))}</th><td>{escape(one_line(text, _FACT))}</td></tr>"
         for name, text in list(rows.items())[: _FACTS + 1]
@@ -53,7 +53,7 @@ def _table(scene: Any) -> str:
     return f"<div>{_thumbnail(scene, facts)}<table>{cells}</table></div>"
 
 
-def _told(name: str, value: Any) -> str:
+def _value_text(name: str, value: Any) -> str:
     if isinstance(value, int) and not isinstance(value, bool):
         return format_size(value) if name.startswith("bytes") else f"{value:,}"
     return "-" if value is None else str(value)

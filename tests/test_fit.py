@@ -26,7 +26,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_scene_is_the_commands(photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tree = nerfbake.fit(photographs, epochs=FAST, basis="SH1", seed=3)
     assert capsys.readouterr() == ("", "")
-    jobs.fit_file(photographs, tmp_path / "a.npz", recipe=jobs.FitOptions(epochs=FAST, basis="SH1", seed=3))
+    jobs.fit_file(photographs, tmp_path / "a.npz", options=jobs.FitOptions(epochs=FAST, basis="SH1", seed=3))
     written = nerfbake.load(tmp_path / "a.npz", nerfbake.N3Tree)
     assert_array_equal(tree.data, written.data)
     assert_array_equal(tree.child, written.child)

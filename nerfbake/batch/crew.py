@@ -186,8 +186,8 @@ class WorkerPool:
             return
         last = self._state.last(identity)
         with self._room.taken(self._room.estimate(item, last.peak if last else 0)):
-            for again in range(self._plan.retries + 1):
-                if self._over or not self._try(item, identity, number, again + 1):
+            for retry in range(self._plan.retries + 1):
+                if self._over or not self._try(item, identity, number, retry + 1):
                     break
 
     def _try(self, item: Item, identity: ItemIdentity, number: int, attempt: int) -> bool:

@@ -62,7 +62,7 @@ def _exact(row: Row) -> list[Any]:
 
 def as_markdown(batch: Batch) -> str:
     """The batch as Markdown. Items that are not done come first."""
-    parts = ["# Batch", batch.told + ".", *(f"- {_cell(machine)}" for machine in batch.machines)]
+    parts = ["# Batch", batch.summary + ".", *(f"- {_cell(machine)}" for machine in batch.machines)]
     if faults := batch.faults:
         parts.append("## Not done")
         parts += [_markdown_fault(row) for row in faults]
@@ -129,7 +129,7 @@ def _tiles(batch: Batch) -> str:
     tiles = {status: figure(count, ",") for status, count in batch.counts.items()}
     tiles |= {"seconds of processes": figure(totals.seconds, ",.1f"), "read": _size(totals.read)}
     tiles |= {"written": _size(totals.written), "largest peak": _size(totals.peak)}
-    return f"<dl>{''.join(f'<div><dt>{name}</dt><dd>{told}</dd></div>' for name, told in tiles.items())}</dl>\n"
+    return f"<dl>{''.join(f'<div><dt>{name}</dt><dd>{value}</dd></div>' for name, value in tiles.items())}</dl>\n"
 
 
 def _size(count: int) -> str:
@@ -150,8 +150,10 @@ def _html_table(rows: Sequence[Row]) -> str:
 
 def _cells(row: Row) -> list[str]:
     status = row.status if row.status == DONE else f"<strong>{row.status}</strong>"
-    told = ("" if value is None else figure(value, form) for value, form in zip(row_values(row), _DIGITS, strict=True))
-    return [text(row.item.name), status, *told]
+    figures = (
+        "" if value is None else figure(value, form) for value, form in zip(row_values(row), _DIGITS, strict=True)
+    )
+    return [text(row.item.name), status, *figures]
 
 
 WORST = 10  # maximum rows of the lists of slowest, biggest and worst items
@@ -205,7 +207,7 @@ class Batch(NamedTuple):
         return sorted((row for row in self.rows if row.status != DONE), key=lambda row: _FAULTS.index(row.status))
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """A summary in words: the number of items by status, and the signal that stopped the run."""
         counts = ", ".join(f"{count:,} {status}" for status, count in self.counts.items())
         early = f"; stopped by {signal.Signals(self.stopped).name}" if self.stopped else ""

@@ -81,14 +81,14 @@ class AtlasMethod(NamedTuple):
         return f"{self.method} {count}" + ("" if self.map_size == 64 else f", {self.map_size}x{self.map_size}")
 
 
-RECIPES = [AtlasMethod("kmeans", K) for K in (1, 4, 16, 64, 256, 1024, 2048)]
-RECIPES += [AtlasMethod("affine", K) for K in (4, 16, 64, 256)]
-RECIPES += [AtlasMethod("grid", 5), AtlasMethod("grid", 7), AtlasMethod("grid", 13, 32)]
+VARIANTS = [AtlasMethod("kmeans", K) for K in (1, 4, 16, 64, 256, 1024, 2048)]
+VARIANTS += [AtlasMethod("affine", K) for K in (4, 16, 64, 256)]
+VARIANTS += [AtlasMethod("grid", 5), AtlasMethod("grid", 7), AtlasMethod("grid", 13, 32)]
 
 
-def baking(folder: str, recipe: list[Any]) -> Work:
-    """The work of baking and writing the atlas of one recipe; called in a child process."""
-    method, size, map_size = recipe
+def baking(folder: str, variant: list[Any]) -> Work:
+    """The work of baking and writing the atlas of one variant; called in a child process."""
+    method, size, map_size = variant
     field = io.load_folder(folder, Stage1).fields[0]
     options = {"method": method, "map_size": map_size} | ({"nodes": size} if method == "grid" else {"clusters": size})
     corner = np.s_[:16, :16]
@@ -155,11 +155,11 @@ NOTES = [
 
 def compare_atlases(folder: str, *, rounds: int, progress: Progress) -> Report:
     """Measure every method on the first cascade of a stage-1 folder, and scikit-learn on the same identifiers."""
-    results: dict[AtlasMethod, list[Result]] = {recipe: [] for recipe in RECIPES}
+    results: dict[AtlasMethod, list[Result]] = {variant: [] for variant in VARIANTS}
     for turn in range(rounds):
-        for recipe in RECIPES:
-            with progress(f"{recipe.label}: round {turn + 1} of {rounds}"):
-                results[recipe].append(measure(baking, folder=folder, recipe=recipe))
+        for variant in VARIANTS:
+            with progress(f"{variant.label}: round {turn + 1} of {rounds}"):
+                results[variant].append(measure(baking, folder=folder, variant=variant))
     clusterings = []
     for name, K in CLUSTERINGS:
         with progress(f"{name}, K={K}"):
@@ -167,7 +167,7 @@ def compare_atlases(folder: str, *, rounds: int, progress: Progress) -> Report:
     field = io.load_folder(folder, Stage1).fields[0]
     head = {"scene": f"{Path(folder).name}: {field}", "rounds": str(rounds), **environment(*PACKAGES)}
     tables = [
-        Table("Atlases", COLUMNS, [_cells(recipe, found) for recipe, found in results.items()]),
+        Table("Atlases", COLUMNS, [_cells(variant, found) for variant, found in results.items()]),
         Table("Clusterings", ["clustering", "K", "s", "peak MB", "inertia"], [_clustered(*row) for row in clusterings]),
     ]
     return Report("Octahedral atlases of a specular MLP", head, tables, NOTES)
@@ -185,9 +185,9 @@ def chart_atlases(report: Report, suffix: str) -> bytes:
     return scatter(marks, title=title, x="maps and per-texel data, MB uncompressed", y="MSE, of 255", suffix=suffix)
 
 
-def _cells(recipe: AtlasMethod, found: list[Result]) -> list[Any]:
+def _cells(variant: AtlasMethod, found: list[Result]) -> list[Any]:
     if error := next((result.error for result in found if result.error), ""):
-        return [f"{recipe.label}: {error}", *[None] * (len(COLUMNS) - 1)]
+        return [f"{variant.label}: {error}", *[None] * (len(COLUMNS) - 1)]
 
     def over_rounds(name: str) -> Statistics:
         return Statistics.of([result.facts[name] for result in found])
@@ -197,8 +197,8 @@ def _cells(recipe: AtlasMethod, found: list[Result]) -> list[Any]:
     steps = ("identify", "cluster", "write", "metric")
     times = [Statistics.of([result.seconds for result in found]), *map(over_rounds, steps)]
     sizes = [max(result.peak for result in found) / 1e6, facts["png"] / 1e6, facts["gpu"] / 1e6]
-    thesis = THESIS.get(recipe.size, (None,) * 3) if recipe.method == "kmeans" else (None,) * 3
-    return [recipe.label, *errors, *times, *sizes, FETCHES[recipe.method], *thesis]
+    thesis = THESIS.get(variant.size, (None,) * 3) if variant.method == "kmeans" else (None,) * 3
+    return [variant.label, *errors, *times, *sizes, FETCHES[variant.method], *thesis]
 
 
 def _clustered(name: str, K: int, result: Result) -> list[Any]:

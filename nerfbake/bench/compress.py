@@ -194,10 +194,10 @@ def compare_compression(
         seen = {"path": path, "cameras": cameras, "truth": truth}
         for label, coding, loss in rows:
             work = partial(measure, compressing, coding=coding, loss=loss, **seen)
-            cells.append(_cells(label, [_told(progress, label, work) for _ in range(rounds)]))
+            cells.append(_cells(label, [_with_progress(progress, label, work) for _ in range(rounds)]))
         for label in contenders():
             work = partial(measure, packing, name=label, **seen)
-            cells.append(_cells(label, [_told(progress, label, work) for _ in range(rounds)]))
+            cells.append(_cells(label, [_with_progress(progress, label, work) for _ in range(rounds)]))
     head = {"scene": f"{name}: {octree}", "rounds": str(rounds), **environment("numpy", "numba", "scikit-learn")}
     return Report(f"Compression: {name}", head, [Table("Compression", COLUMNS, cells)], NOTES)
 
@@ -267,7 +267,7 @@ def _costs(octree: SparseVoxelOctree, field: RadianceField, cameras: str | None,
     return {"predicted": cost.loss, "measured": measured, "psnr": psnr}
 
 
-def _told(progress: Progress, label: str, work: Any) -> Result:
+def _with_progress(progress: Progress, label: str, work: Any) -> Result:
     with progress(label):
         return cast(Result, work())
 

@@ -158,7 +158,7 @@ def batch(
     print_event = io.print_json if as_json else None
     options = run if named else None
     found = run_batch(items, state=state, run=options, report_to=report, steps=console, report=print_event)
-    console.say(found.told)
+    console.say(found.summary)
     return found.exit_code
 
 

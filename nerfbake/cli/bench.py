@@ -165,7 +165,7 @@ def compress(
     from nerfbake.bench.compress import chart_compression, compare_compression
     from nerfbake.jobs.compressions import GroundTruth
 
-    GroundTruth(cameras, truth).require()
+    GroundTruth(cameras=cameras, truth=truth).require()
     if truth is None:
         without_effect("cameras", here="without --truth", allowed="--cameras with --truth")
     octree, name = _octree(source, console, None, only=False), Path(source.path).name
@@ -233,7 +233,7 @@ def fit(
         report, batch = compare_papers(dataset, state=folder, steps=console, **options)
     if report is None:
         onward = f"run the same command to resume from {state}" if state else "without --state nothing is kept"
-        console.say(f"{batch.told}; {onward}")
+        console.say(f"{batch.summary}; {onward}")
     else:
         destination.write([report], chart_papers)
     return batch.exit_code

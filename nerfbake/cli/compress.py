@@ -72,8 +72,10 @@ def quality_options(function: Command) -> Command:
             for name in ("cameras", "samples"):
                 allowed = f"--{name} with --truth or --min-psnr"
                 without_effect(name, here="without --truth or --min-psnr", allowed=allowed)
-        photographs = GroundTruth(cameras, truth, source_psnr, samples)
-        return function(*args, photographs=photographs, budget=Budget(min_psnr, cameras, samples), **others)
+        photographs = GroundTruth(cameras=cameras, truth=truth, source_psnr=source_psnr, samples=samples)
+        return function(
+            *args, photographs=photographs, budget=Budget(min_psnr=min_psnr, cameras=cameras, samples=samples), **others
+        )
 
     return command
 

@@ -32,7 +32,7 @@ from nerfbake.jobs.files import Source, Target
 if TYPE_CHECKING:
     from nerfbake.jobs.fits import FitOptions, FitResult
     from nerfbake.jobs.meshes import MeshViews
-    from nerfbake.jobs.splats import SplatsModel
+    from nerfbake.jobs.splats import SplatsViews
 
 
 class FitBackground(Background):
@@ -42,7 +42,7 @@ class FitBackground(Background):
 
 
 photograph_options = bundled(
-    "album",
+    "photographs",
     "jobs.photographs.PhotographOptions",
     click.option(
         "--background",
@@ -74,22 +74,22 @@ photograph_options = bundled(
 )
 
 
-def _check_model(model: MeshViews | SplatsModel) -> None:
-    if model.views is None:
+def _check_pictures(pictures: MeshViews | SplatsViews) -> None:
+    if pictures.views is None:
         allowed = "it with --views"
         without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
     else:
         without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
 
 
-def model_options(fitted: str, model: str) -> Callable[[Command], Command]:
-    """Add --views with photograph_options, --frames and --edge; pass the command `model`.
+def training_picture_options(fitted: str, kind: str) -> Callable[[Command], Command]:
+    """Add --views with photograph_options, --frames and --edge; pass the command `pictures`.
 
-    fitted: what the photographs of --views are, for the help. model: the class of the model, as for bundled().
+    fitted: what the photographs of --views are, for the help. kind: the class of `pictures`, as for bundled().
     """
     return bundled(
-        "model",
-        model,
+        "pictures",
+        kind,
         click.option(
             "--views",
             metavar="CAPTURE",
@@ -111,17 +111,17 @@ def model_options(fitted: str, model: str) -> Callable[[Command], Command]:
             help="Without --views: width and height of these pictures, in pixels.",
         ),
         photograph_options,
-        check=_check_model,
+        check=_check_pictures,
     )
 
 
-def _check_schedule(recipe: FitOptions) -> None:
-    if recipe.epochs is not None:
+def _check_schedule(options: FitOptions) -> None:
+    if options.epochs is not None:
         without_effect("resolution", "samples", here="with --epochs, which has its own", allowed="one of them")
 
 
 fit_options = bundled(
-    "recipe",
+    "options",
     "jobs.fits.FitOptions",
     click.option(
         "--preset",
@@ -177,7 +177,7 @@ fit_options = bundled(
 @click.argument("source", metavar="SOURCE", type=PhotographsPath())
 @target_argument("SparseVoxelOctree", "QuantisedOctree", "Volume", "Splats", "N3Tree", "Meshes", output=MeshOutput)
 @fit_options
-@photograph_options  # --scenery is part of its `album`, too
+@photograph_options  # --scenery is part of its `photographs`, too
 @click.option(
     "--scenery",
     type=click.Choice(["auto", "keep", "drop"]),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.fit import model_options
+from nerfbake.cli.fit import training_picture_options
 from nerfbake.cli.params import (
     Box,
     Number,
@@ -52,7 +52,7 @@ class TriangleCounts(ParamType[tuple[int, ...]]):
 @source_argument
 @click.argument("target", metavar="OUT", type=MeshOutput())
 @click.option("--force", is_flag=True, help="Replace OUT, and the files beside it, if they exist.")
-@model_options("Photographs for the texture", "jobs.meshes.MeshViews")
+@training_picture_options("Photographs for the texture", "jobs.meshes.MeshViews")
 @click.option(
     "--triangles",
     type=TriangleCounts(),
@@ -148,9 +148,9 @@ def mesh(
         without_effect("triangles", here="with --lods, which has its own", allowed="one of them")
     bake_mesh(
         source,
-        Target(target, None, force),
-        recipe=MeshOptions(lods or triangles, texture, box, largest, seed),
-        file=MeshFile(up, lit, image, environment),
+        Target(target, force=force),
+        options=MeshOptions(triangles=lods or triangles, texture=texture, box=box, largest=largest, seed=seed),
+        file=MeshFile(up=up, lit=lit, image=image, environment=environment),
         steps=console,
         report=(lambda found: io.print_json(_facts(source, found))) if as_json else None,
         **options,

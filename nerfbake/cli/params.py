@@ -356,7 +356,7 @@ def splat_options(up: str, default: Literal["stated"] | None) -> Callable[[Comma
     up: the name of that option; default: stated for the axis that the file states, else -y; None to keep the world of
     the splats.
     """
-    told = "keep the world of IN" if default is None else "the axis that IN states, else -y"
+    default_text = "keep the world of IN" if default is None else "the axis that IN states, else -y"
 
     def add(function: Command) -> Command:
         @click.option(
@@ -369,7 +369,7 @@ def splat_options(up: str, default: Literal["stated"] | None) -> Callable[[Comma
             "splats_up",
             type=click.Choice(["x", "-x", "y", "-y", "z", "-z"]),
             help="Up axis of splats, which becomes z (splats only): -y in every .spz and in most other files.  "
-            f"[default: {told}]",
+            f"[default: {default_text}]",
         )
         @click.option(
             "--epochs",

@@ -23,20 +23,20 @@ from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:
-    from nerfbake.jobs.refits import RefitTarget
+    from nerfbake.jobs.refits import RefitReference
 
 
-def _check_reference(model: RefitTarget) -> None:
-    if model.like is None:
+def _check_reference(reference: RefitReference) -> None:
+    if reference.like is None:
         without_effect("frames", "edge", here="without --like", allowed="--frames and --edge with --like")
-    if model.views is None:
+    if reference.views is None:
         allowed = "it with --views"
         without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
 
 
 reference_options = bundled(
-    "model",
-    "jobs.refits.RefitTarget",
+    "reference",
+    "jobs.refits.RefitReference",
     click.option("--like", metavar="BIGGER", type=Reads(), help="Finer scene or splats that OUT is fitted to."),
     click.option(
         "--frames",
@@ -102,7 +102,9 @@ def refit(
 
     from nerfbake.jobs.refits import RefitOptions, refit_file
 
-    found = refit_file(source, target, again=RefitOptions(epochs, samples, seed), steps=console, **options)
+    found = refit_file(
+        source, target, options=RefitOptions(epochs=epochs, samples=samples, seed=seed), steps=console, **options
+    )
     if as_json:
         before, after = found.psnr
         facts = {"in": source.path, "file": found.path, "content": found.content, "bytes": found.bytes}

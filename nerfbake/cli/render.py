@@ -53,7 +53,7 @@ class PicturesPath(Writes):
     def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
         from nerfbake.jobs.pictures import PictureOutputs
 
-        pictures = PictureOutputs(paths[0], options["depth"], options["alpha"])
+        pictures = PictureOutputs(out=paths[0], depth=options["depth"], alpha=options["alpha"])
         single = not (options["every"] or options["turntable"])
         return DeclaredPaths(writes=(*paths, *pictures.beside(paths[0])) if single else paths)
 
@@ -138,7 +138,7 @@ def mesh_options(function: Command) -> Command:
 
         if not mesh:
             without_effect("how", "mesh_up", here="without a mesh", allowed="with --mesh")
-        return function(*args, mesh=PlacedMesh(mesh, mesh_up, how) if mesh else None, **others)
+        return function(*args, mesh=PlacedMesh(path=mesh, up=mesh_up, how=how) if mesh else None, **others)
 
     return command
 

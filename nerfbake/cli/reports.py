@@ -16,7 +16,7 @@ from nerfbake.errors import OutputError, UsageError
 from nerfbake.installation import require_installed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Destination:
     """Paths and format of a report, and the path of its chart."""
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.fit import model_options
+from nerfbake.cli.fit import training_picture_options
 from nerfbake.cli.params import (
     Number,
     ParamType,
@@ -45,7 +45,7 @@ class SplatCount(ParamType[int]):
 @click.option(
     "--count", type=SplatCount(), default="150k", show_default=True, help="Largest number of splats, for example 150k."
 )
-@model_options("Photographs that OUT is fitted to", "jobs.splats.SplatsModel")
+@training_picture_options("Photographs that OUT is fitted to", "jobs.splats.SplatsViews")
 @click.option(
     "--epochs", type=click.IntRange(1, 100), default=4, show_default=True, help="Number of passes over the pictures."
 )
@@ -85,7 +85,14 @@ def splats(
         if as_json:
             io.print_json(_facts(source, found))
 
-    bake_splats(source, target, recipe=SplatsOptions(count, epochs, seed), steps=console, report=report, **options)
+    bake_splats(
+        source,
+        target,
+        options=SplatsOptions(splats=count, epochs=epochs, seed=seed),
+        steps=console,
+        report=report,
+        **options,
+    )
 
 
 def _facts(source: Source, found: SplatsResult) -> dict[str, Any]:

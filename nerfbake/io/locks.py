@@ -54,7 +54,7 @@ def _acquire(path: Path, take_over: bool) -> int:
                 continue
             owner = os.pread(handle, _LONGEST, 0)
             if not (take_over or (free and _may_be_replaced(owner)) or (new and free is None)):
-                raise OutputError(_told(owner))
+                raise OutputError(_owner_text(owner))
             if free is False:  # taken over from a process that may still run: it keeps its own file
                 path.unlink()
                 os.close(handle)
@@ -74,7 +74,7 @@ def _may_be_replaced(owner: bytes) -> bool:
     return not owner or (found is not None and found[1] == socket.gethostname())
 
 
-def _told(owner: bytes) -> str:
+def _owner_text(owner: bytes) -> str:
     """The error message: which process holds the lock, or may hold it."""
     found = _parsed(owner)
     if found is None:

@@ -73,11 +73,11 @@ def require_apart(folder: Path, inputs: Sequence[str]) -> None:
     home = os.path.expanduser("~")  # noqa: PTH111 - Path.expanduser() raises if there is none
     places = [(os.curdir, "the working folder"), (home, "the home folder")]
     places += [(path, f"the input {path}") for path in inputs if path != STREAM]
-    for path, told in places:
+    for path, text in places:
         for found, place in _around(Path(path)):
             with suppress(OSError, ValueError):
                 if os.path.samestat(place.stat(), own):
-                    raise OutputError(f"{found} {told}; allowed: another folder", source=str(folder))
+                    raise OutputError(f"{found} {text}; allowed: another folder", source=str(folder))
 
 
 def _around(path: Path) -> Iterator[tuple[str, Path]]:

@@ -89,11 +89,11 @@ class Request(NamedTuple):
 def main() -> None:
     """Do what the line on stdin asks for."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which then ends this process
-    told = os.dup(1)
+    output = os.dup(1)
     os.dup2(2, 1)  # what libraries print must not be between our lines
 
     def tell(**event: Any) -> None:
-        os.write(told, json.dumps(event).encode() + b"\n")
+        os.write(output, json.dumps(event).encode() + b"\n")
 
     request = Request(**json.loads(sys.stdin.buffer.readline()))
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -274,11 +274,11 @@ def _adjust(pycolmap: Any, model: Any) -> None:
 
 def _reported(results: Iterable[Any], count: int, tell: Callable[..., None]) -> Iterator[Any]:
     """Yield the results; report their share, in steps of a per cent."""
-    told = 0
+    percent = 0
     for done, result in enumerate(results, 1):
         yield result
-        if done * 100 // count > told:
-            told = done * 100 // count
+        if done * 100 // count > percent:
+            percent = done * 100 // count
             tell(share=done / count)
 
 

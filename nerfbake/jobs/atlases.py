@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from nerfbake import io
-from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output, reporting
+from nerfbake.jobs.budgets import Budget, judge_output, reporting
 from nerfbake.jobs.files import FolderTarget, Stage1Source
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.surface.octahedron import TexelLookup
@@ -27,7 +27,7 @@ def bake_atlas_folder(
     directions: int = 100,
     direction_set: DirectionSet = "fibonacci",
     up: str = "y",
-    budget: Budget = UNLIMITED,
+    budget: Budget = Budget(),
     steps: Steps = SILENT,
     report: Callable[[Facts], None] | None = None,
     **options: Unpack[AtlasOptions],
@@ -57,8 +57,8 @@ def bake_atlas_folder(
     with source.blamed(steps, "baking"):
         baked = bake_stage1(stage1, directions=directions, direction_set=direction_set, **options)
     sizes: dict[str, int] = {}
-    told = reporting(lambda: report({**baked.facts, "files": sizes}) if report is not None else None)
-    with told, target.writing(steps, baked, up=up) as written:
+    reported = reporting(lambda: report({**baked.facts, "files": sizes}) if report is not None else None)
+    with reported, target.writing(steps, baked, up=up) as written:
         sizes = written.sizes
         for error in baked.facts["errors"]:
             figures = f"MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255"

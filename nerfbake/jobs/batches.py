@@ -5,9 +5,10 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from nerfbake import __version__, progress
 from nerfbake.batch.child import ChildProcesses, nerfbake_command, require_processes
@@ -26,7 +27,8 @@ _SHOWN = 4  # maximum names of running items in the progress line
 Report = Callable[[dict[str, Any]], None]
 
 
-class BatchOptions(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class BatchOptions:
     """How the items of a batch are run.
 
     jobs       number of items that run in parallel; None: half the cores
@@ -56,14 +58,11 @@ class BatchOptions(NamedTuple):
             raise UsageError(f"`jobs` is {self.jobs}; allowed: 1 or more")
 
 
-ALL = BatchOptions()
-
-
 def run_batch(
     items: Sequence[Item],
     *,
     state: str | Path,
-    run: BatchOptions | None = ALL,
+    run: BatchOptions | None = BatchOptions(),
     report_to: str | Path | None = None,
     steps: Steps = SILENT,
     report: Report | None = None,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 from nerfbake import io
 from nerfbake.errors import BudgetMissed
@@ -14,7 +15,8 @@ from nerfbake.jobs.steps import SILENT, Steps
 FRAMES, EDGE = 8, 400  # number of views around a scene that are compared, and their width and height in pixels
 
 
-class Budget(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Budget:
     """The lowest allowed quality of an output.
 
     min_psnr  lowest allowed mean PSNR of its pictures against those of its source, in dB; None: no limit, and no
@@ -50,9 +52,6 @@ class Budget(NamedTuple):
     def inputs(self) -> tuple[str | None, ...]:
         """The paths that measuring reads."""
         return (self.cameras,)
-
-
-UNLIMITED = Budget()
 
 
 @contextmanager
@@ -114,5 +113,5 @@ def judge_output(
         decibels = float(found.means["a_b"]["psnr"])
         io.report_result(psnr=decibels)
         found.require(min_psnr=budget.min_psnr)
-    steps.say(f"{name}: {decibels:.2f} dB against {made_from}{views.rays_told}")
+    steps.say(f"{name}: {decibels:.2f} dB against {made_from}{views.rays_text}")
     return decibels

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from nerfbake import io
@@ -25,7 +26,8 @@ from nerfbake.scene.volume import Volume
 from nerfbake.stages.scenes_to_comparison import compare_scenes
 
 
-class ComparedViews(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class ComparedViews:
     """The views that are compared.
 
     cameras  a capture; None: 8 views around the first scene
@@ -40,14 +42,16 @@ class ComparedViews(NamedTuple):
     samples: int | None = None
 
 
-class ComparisonLimits(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class ComparisonLimits:
     """Limits: the lowest mean PSNR in dB, and the largest difference of a channel in 0..1. None: no limit."""
 
     min_psnr: float | None = None
     max_error: float | None = None
 
 
-class ComparisonOutputs(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class ComparisonOutputs:
     """Files to write: sheet, a .png with all pictures; html, a page with all results. None: do not write it."""
 
     sheet: str | None = None
@@ -67,9 +71,6 @@ class ComparisonOutputs(NamedTuple):
                 io.require_absent(target, force=self.force)
 
 
-AROUND, NO_LIMITS, NO_PAGES = ComparedViews(), ComparisonLimits(), ComparisonOutputs()
-
-
 class FileComparison(NamedTuple):
     """a, b: name, content, format and bytes of each file. found: the differences between them."""
 
@@ -82,9 +83,9 @@ def compare_files(
     a: AnySource,
     b: AnySource,
     *,
-    seen: ComparedViews = AROUND,
-    limits: ComparisonLimits = NO_LIMITS,
-    pages: ComparisonOutputs = NO_PAGES,
+    seen: ComparedViews = ComparedViews(),
+    limits: ComparisonLimits = ComparisonLimits(),
+    pages: ComparisonOutputs = ComparisonOutputs(),
     steps: Steps = SILENT,
     report: Callable[[FileComparison], None] | None = None,
 ) -> FileComparison:
@@ -121,13 +122,13 @@ def compare_files(
     if pages.sheet:
         io.save(pages.sheet, found.sheet, force=pages.force)
     if pages.html:
-        io.save(pages.html, found, force=pages.force, a=facts, b=others, **limits._asdict())
+        io.save(pages.html, found, force=pages.force, a=facts, b=others, **vars(limits))
     io.report_result(psnr=float(found.means["a_b"]["psnr"]))
     compared = FileComparison(facts, others, found)
     if report is not None:
         report(compared)
     with second.blamed(steps, "checking the limits"):
-        found.require(**limits._asdict())
+        found.require(**vars(limits))
     return compared
 
 

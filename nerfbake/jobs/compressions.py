@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from nerfbake import io
 from nerfbake.errors import UsageError
-from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output, reporting
+from nerfbake.jobs.budgets import Budget, judge_output, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Target, as_source, as_target
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
@@ -22,7 +22,7 @@ from nerfbake.stages.octree_to_compression import compress_octree
 MAX_LOSS = 0.1  # dB
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CompressionGoal:
     """The goal of a compression: one of these three. Without any, the goal is a loss of 0.1 dB.
 
@@ -45,7 +45,7 @@ class CompressionGoal:
         return given or {"max_loss": MAX_LOSS}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GroundTruth:
     """The photographs on which the loss is measured.
 
@@ -84,7 +84,6 @@ class GroundTruth:
 
 
 Coding = Literal["range", "deflate"]  # of .svoq
-LEAST_LOSS, PREDICTED = CompressionGoal(), GroundTruth()
 
 
 def coded_size_of(target: Target, coding: Coding = "range") -> Callable[[QuantisedOctree], int]:
@@ -97,11 +96,11 @@ def compress_file(
     source: AnySource,
     target: AnyTarget,
     *,
-    goal: CompressionGoal = LEAST_LOSS,
-    photographs: GroundTruth = PREDICTED,
+    goal: CompressionGoal = CompressionGoal(),
+    photographs: GroundTruth = GroundTruth(),
     basis: str | None = None,
     coding: Coding = "range",
-    budget: Budget = UNLIMITED,
+    budget: Budget = Budget(),
     steps: Steps = SILENT,
     report: Callable[[Compression], None] | None = None,
 ) -> Compression:
@@ -129,8 +128,8 @@ def compress_file(
     with source.blamed(steps, "compressing") as tell:
         coded_size = coded_size_of(target, coding)
         found = compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)
-    told = reporting(lambda: report(found) if report is not None else None)
-    with told, target.writing(steps, found.quantised, coding=coding) as written:
+    reported = reporting(lambda: report(found) if report is not None else None)
+    with reported, target.writing(steps, found.quantised, coding=coding) as written:
         steps.say(f"{target.name}: {found}")
         judge_output(written.path, octree, budget, made_from=source.name, name=target.path, steps=steps)
     return found

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from nerfbake import catalog, io, memory
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
-from nerfbake.jobs.grids import AS_IT_IS, GridChoice, warn_about_halves
+from nerfbake.jobs.grids import GridChoice, warn_about_halves
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.soundness import plural
@@ -35,7 +35,7 @@ def convert_file(
     *,
     layout: Literal["full", "compact"] | None = None,
     no_child: int | None = None,
-    choice: GridChoice = AS_IT_IS,
+    choice: GridChoice = GridChoice(),
     codec: str | None = None,
     half: bool = False,
     small: bool = False,
@@ -150,7 +150,7 @@ def convert_splats(
         found: Splats = module.decode(memoryview(b"".join(module.encode(kept, **options))))
         loss = measure_splats(splats, found)
     left_out = "".join(f"; not read: {part}" for part in _not_read(splats))
-    steps.say(f"{target.name}: {_told(loss)}{left_out}")
+    steps.say(f"{target.name}: {_loss_text(loss)}{left_out}")
     return found
 
 
@@ -161,7 +161,7 @@ def _not_read(splats: Splats) -> Iterator[str]:
         yield plural(splats.dropped, "row")
 
 
-def _told(loss: SplatLoss) -> str:
+def _loss_text(loss: SplatLoss) -> str:
     """The loss in a sentence."""
     errors = (loss.means, loss.scales, loss.rotations, loss.opacity, loss.colours)
     if not loss.dropped_bands and max(error.largest for error in errors) < _ROUNDING:
@@ -173,9 +173,9 @@ def _told(loss: SplatLoss) -> str:
         ("opacity", loss.opacity, 1.0, ""),
         ("colours", loss.colours, 1.0, "/255"),
     )
-    told = [f"{name} {each.largest * by:.2g} ({each.median * by:.2g}){unit}" for name, each, by, unit in parts]
+    losses = [f"{name} {each.largest * by:.2g} ({each.median * by:.2g}){unit}" for name, each, by, unit in parts]
     bands = f"; SH bands left out: {loss.dropped_bands}" if loss.dropped_bands else ""
-    return f"largest (median) loss: {', '.join(told)}{bands}"
+    return f"largest (median) loss: {', '.join(losses)}{bands}"
 
 
 def split_volume(

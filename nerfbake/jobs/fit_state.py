@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from nerfbake import io
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, Problem, Stopped
@@ -21,6 +21,9 @@ from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.compile_times import compiling
 from nerfbake.scene.schedule import Schedule, Stage
 from nerfbake.scene.views import Views
+
+if TYPE_CHECKING:
+    from nerfbake.stages.views_to_field import FitState
 
 HANDFUL = 4  # held-out views that are measured during a fit
 _PATIENCE = 0.1  # share of the CPU time of the fit that measuring may take
@@ -86,57 +89,57 @@ class FitRun:
     samples: rays along each edge of a pixel with which these are rendered.
     """
 
-    def __init__(self, posed: SplitViews, schedule: Schedule, samples: int) -> None:
-        judges = posed.judges
-        self._views, self._schedule, self._samples = len(posed.trained.pictures), schedule, samples
-        count = len(judges.pictures)
+    def __init__(self, split: SplitViews, schedule: Schedule, samples: int) -> None:
+        held_out = split.held_out
+        self._views, self._schedule, self._samples = len(split.training.pictures), schedule, samples
+        count = len(held_out.pictures)
         self._which = f"{min(count, HANDFUL)} of {count} held-out views"
-        self._judges = judges.take(range(0, count, max(1, count // HANDFUL))[:HANDFUL])
+        self._held_out = held_out.take(range(0, count, max(1, count // HANDFUL))[:HANDFUL])
         self._looked, self._epoch = 0.0, (0, 0)
         self.clock, self.curve = Clock(), list[CurvePoint]()
 
-    def goes_on(self, now: Any, *, worked: float, passed: float, curve: Sequence[CurvePoint]) -> None:
-        """Resume from the state `now` of an earlier run, with its CPU seconds, wall-clock seconds and curve."""
-        self._epoch = now.stage, now.epoch
+    def goes_on(self, state: FitState, *, worked: float, passed: float, curve: Sequence[CurvePoint]) -> None:
+        """Resume from the state of an earlier run, with its CPU seconds, wall-clock seconds and curve."""
+        self._epoch = state.stage, state.epoch
         self.clock, self.curve = Clock(worked, passed), list(curve)
 
-    def follow(self, now: Any) -> bool:
+    def follow(self, state: FitState) -> bool:
         """Return whether an epoch has ended since the last state. If so, measure the quality."""
-        epoch = now.stage, now.epoch
+        epoch = state.stage, state.epoch
         ended, self._epoch = epoch != self._epoch, epoch
         if ended:
-            self._look(now)
+            self._look(state)
         return ended
 
-    def _look(self, now: Any) -> None:
+    def _look(self, state: FitState) -> None:
         """Measure the quality, unless measuring has already taken more than its share of the time."""
         worked = self.clock.worked
         if self._looked > _PATIENCE * worked and self.curve:
             return
         before = time.process_time()
         with self.clock.paused():
-            psnr = self._seen(now)
+            psnr = self._seen(state)
         self._looked += time.process_time() - before
         if psnr is not None:
-            self.curve.append(CurvePoint(worked, psnr, now.stage, now.epoch, now.resolution, now.cells.n))
+            self.curve.append(CurvePoint(worked, psnr, state.stage, state.epoch, state.resolution, state.cells.n))
 
-    def share(self, now: Any) -> float:
+    def share(self, state: FitState) -> float:
         """Return the share of the work that is done, 0 to 1."""
         costs = [stage.epochs * _cost(stage) for stage in self._schedule]
-        begun = sum(_cost(stage) for stage in self._schedule[now.stage : now.stage + 1])
-        return float(sum(costs[: now.stage]) + begun * (now.epoch + now.view / self._views)) / sum(costs)
+        begun = sum(_cost(stage) for stage in self._schedule[state.stage : state.stage + 1])
+        return float(sum(costs[: state.stage]) + begun * (state.epoch + state.view / self._views)) / sum(costs)
 
-    def told(self, now: Any) -> str:
+    def progress_text(self, state: FitState) -> str:
         """Return the progress as text: stage, resolution, voxels and PSNR."""
         seen = f", {self.curve[-1].psnr:.2f} dB on {self._which}" if self.curve else ""
-        stage = min(now.stage + 1, len(self._schedule))
-        return f"stage {stage} of {len(self._schedule)}, {now.resolution}^3, {now.cells.n:,} voxels{seen}"
+        stage = min(state.stage + 1, len(self._schedule))
+        return f"stage {stage} of {len(self._schedule)}, {state.resolution}^3, {state.cells.n:,} voxels{seen}"
 
-    def _seen(self, now: Any) -> float | None:
+    def _seen(self, state: FitState) -> float | None:
         from nerfbake.stages.views_to_field import measure_state  # here, because most jobs use only the clock
 
         try:
-            return measure_state(now, self._judges, samples=self._samples)
+            return measure_state(state, self._held_out, samples=self._samples)
         except MemoryLimit:
             return None  # the fit itself may still fit into memory
 
@@ -170,10 +173,10 @@ class CheckpointWriter:
     def is_due(self) -> bool:
         return time.monotonic() - self._kept > _OFTEN
 
-    def keep(self, now: Any, *, worked: float, passed: float, curve: Sequence[CurvePoint]) -> None:
+    def keep(self, state: FitState, *, worked: float, passed: float, curve: Sequence[CurvePoint]) -> None:
         """Replace the last checkpoint atomically. Raises OutputError."""
         facts = {"key": self._key, "worked": worked, "passed": passed, "curve": curve}
-        io.save_checkpoint(self._folder, facts, now.arrays())
+        io.save_checkpoint(self._folder, facts, state.arrays())
         self._kept = time.monotonic()
 
     def last(self) -> Checkpoint | None:
@@ -256,24 +259,24 @@ def kept_as_partial(steps: Steps, target: Target, written: io.PendingFile) -> It
 
 
 @contextmanager
-def interrupts() -> Iterator[list[int]]:
-    """Catch Ctrl-C: the first one adds an item to the list, the second one raises KeyboardInterrupt.
+def interrupts() -> Iterator[threading.Event]:
+    """Catch Ctrl-C: the first one sets the event, the second one raises KeyboardInterrupt.
 
-    The block checks the list where its work is in a consistent state.
+    The block checks the event where its work is in a consistent state.
     """
-    asked: list[int] = []
+    interrupted = threading.Event()
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before in (signal.SIG_IGN, None):
-        yield asked
+        yield interrupted
         return
 
-    def ask(number: int, frame: FrameType | None) -> None:
-        if asked:
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        if interrupted.is_set():
             raise KeyboardInterrupt
-        asked.append(number)
+        interrupted.set()
 
-    signal.signal(signal.SIGINT, ask)
+    signal.signal(signal.SIGINT, interrupt)
     try:
-        yield asked
+        yield interrupted
     finally:
         signal.signal(signal.SIGINT, before)

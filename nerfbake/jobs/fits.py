@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from nerfbake import __version__, catalog, io, progress
 from nerfbake.errors import InvalidScene, Stopped, UsageError
-from nerfbake.jobs.compressions import LEAST_LOSS, coded_size_of
+from nerfbake.jobs.compressions import CompressionGoal, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, kept_as_partial, write_partial
-from nerfbake.jobs.meshes import AS_IT_IS as MESH_FILE
-from nerfbake.jobs.meshes import build_mesh, require_mesh
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, cut_out, mean_of, read_photographs
+from nerfbake.jobs.meshes import MeshFile, build_mesh, require_mesh
+from nerfbake.jobs.photographs import PhotographOptions, SplitViews, cut_out, mean_of, read_photographs
 from nerfbake.jobs.poses import require_poses
-from nerfbake.jobs.splats import USUAL, fitted_splats
+from nerfbake.jobs.splats import SplatsOptions, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.camera import Cameras
@@ -43,6 +43,9 @@ from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.scene_to_field import build_field, build_field_from_bricks
 from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views, plain_psnr
 
+if TYPE_CHECKING:
+    from nerfbake.stages.views_to_field import FitState
+
 Dtype = Literal["float16", "float32"]
 Exposure = Literal["auto", "fit", "fixed"]
 
@@ -59,20 +62,20 @@ def _tree(field: BrickField, dtype: Dtype | None, held_out: HeldOut | None) -> N
 def _compressed(field: BrickField, held_out: HeldOut | None, target: Target, tell: Tell) -> QuantisedOctree:
     """Compress a field like `nerfbake compress` without options."""
     octree, coded_size = build_octree_from_bricks(field), coded_size_of(target)
-    options = {**LEAST_LOSS.options, "held_out": held_out}
+    options = {**CompressionGoal().options, "held_out": held_out}
     return compress_octree(octree, coded_size=coded_size, tell=tell, **options).quantised
 
 
-def _held_out(judges: Views, samples: int) -> HeldOut | None:
+def _held_out(views: Views, samples: int) -> HeldOut | None:
     """Return the pixels of the held-out views, with the rays per pixel that they are measured with.
 
     None if pixels are ignored, which HeldOut cannot express.
     """
-    if judges.scenery and judges.masked:
+    if views.scenery and views.masked:
         return None
-    cameras = replace(judges.cameras, samples=samples)
-    photographs = map(judges.photograph, range(len(judges.pictures)))
-    return HeldOut.of(cameras, photographs, background=judges.background)
+    cameras = replace(views.cameras, samples=samples)
+    photographs = map(views.photograph, range(len(views.pictures)))
+    return HeldOut.of(cameras, photographs, background=views.background)
 
 
 # Types of scene that a fit writes, in the order in which their file extensions are tried: longer ones first.
@@ -85,7 +88,8 @@ _FAR = 10_000  # times the extent of the cameras: rounding to float32 then moves
 _POOR = 4.0  # dB above pictures of a single colour
 
 
-class FitOptions(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
     """Options of a fit.
 
     preset      schedule of stages: fast, balanced or best; None: balanced, unless minutes or epochs is given
@@ -127,11 +131,11 @@ class FitOptions(NamedTuple):
         if len(given) > 1:
             names = " and ".join(f"`{name}`" for name in given)
             raise UsageError(f"{names} each select a schedule; allowed: one of them")
-        asked: dict[str, Any] = {"resolution": self.resolution, "samples": self.samples}
+        request: dict[str, Any] = {"resolution": self.resolution, "samples": self.samples}
         edge = 0
         if views is not None:
             edge = min(min(camera.width, camera.height) for camera in views.cameras.cameras)
-            asked |= {"views": len(views.pictures), "edge": edge}
+            request |= {"views": len(views.pictures), "edge": edge}
         try:
             if self.epochs is not None:
                 return parse_schedule(self.epochs)
@@ -139,10 +143,10 @@ class FitOptions(NamedTuple):
                 sizes = {"resolution": self.resolution or 256, "views": len(views.pictures), "edge": edge}
                 return scenery_schedule(self.preset or PRESET, **sizes, minutes=self.minutes)
             if views is not None:
-                asked["side"] = views.side()
+                request["side"] = views.side()
             if self.minutes is not None:
-                return schedule_for(self.minutes, **asked)
-            return preset_schedule(self.preset or PRESET, **asked)
+                return schedule_for(self.minutes, **request)
+            return preset_schedule(self.preset or PRESET, **request)
         except InvalidScene as error:
             raise UsageError(error.what) from None
 
@@ -150,13 +154,10 @@ class FitOptions(NamedTuple):
         """Return the rays along each edge of a pixel with which the held-out views are rendered."""
         return self.samples if self.epochs is None else schedule[-1].rays
 
-    def told(self, schedule: Schedule, views: Views) -> dict[str, str]:
+    def fingerprint(self, schedule: Schedule, views: Views) -> dict[str, str]:
         """Return everything besides the pictures that the output bytes depend on."""
         rest = {name: str(getattr(self, name)) for name in ("box", "seed", "exposure")}
         return {"nerfbake": __version__, "schedule": str(schedule), "basis": self.basis_of(views), **rest}
-
-
-BALANCED = FitOptions()
 
 
 class FitResult(NamedTuple):
@@ -197,8 +198,8 @@ class FitResult(NamedTuple):
 def fit_scene(
     source: AnySource,
     *,
-    album: PhotographOptions = ALL,
-    recipe: FitOptions = BALANCED,
+    photographs: PhotographOptions = PhotographOptions(),
+    options: FitOptions = FitOptions(),
     dtype: Dtype | None = None,
     steps: Steps = SILENT,
 ) -> N3Tree:
@@ -206,26 +207,26 @@ def fit_scene(
 
     The same views are held out as by fit_file(), so the scene is the same. Raises NerfbakeError.
 
-    >>> tree = fit_scene("photographs", recipe=FitOptions(preset="fast", resolution=32, basis="SH1"))
+    >>> tree = fit_scene("photographs", options=FitOptions(preset="fast", resolution=32, basis="SH1"))
     >>> tree.data_format
     'SH1'
     """
     source = as_source(source)
-    album.require()
-    recipe.schedule()
-    posed, schedule = _read(steps, source, album, recipe, "N3Tree")
-    course = FitRun(posed, schedule, recipe.rays(schedule))
-    field = _fit(steps, source, posed.trained, schedule, recipe, course, None, [])
+    photographs.require()
+    options.schedule()
+    split, schedule = _read(steps, source, photographs, options, "N3Tree")
+    run = FitRun(split, schedule, options.rays(schedule))
+    field = _fit(steps, source, split.training, schedule, options, run, None, threading.Event())
     with steps.phase("putting the field together"):
-        return _tree(field, dtype, _held_out(posed.judges, recipe.rays(schedule)))
+        return _tree(field, dtype, _held_out(split.held_out, options.rays(schedule)))
 
 
 def fit_file(
     source: AnySource,
     target: AnyTarget,
     *,
-    album: PhotographOptions = ALL,
-    recipe: FitOptions = BALANCED,
+    photographs: PhotographOptions = PhotographOptions(),
+    options: FitOptions = FitOptions(),
     dtype: Dtype | None = None,
     state: str | None = None,
     steps: Steps = SILENT,
@@ -233,58 +234,62 @@ def fit_file(
 ) -> FitResult:
     """Fit a sparse field to the photographs of a capture and return the quality of its file. This is `nerfbake fit`.
 
-    Reads the cameras and pictures of `source` and `album`; a folder of photographs without cameras gets their poses
-    from find_poses() first. Writes `target`, whose extension selects the type of scene, and checkpoints to the folder
-    `state`. A run that was killed resumes from the last checkpoint and writes the same bytes. Ctrl-C writes the current
-    state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept under this
-    name. Raises NerfbakeError.
+    Reads the cameras and pictures of `source` and `photographs`; a folder of photographs without cameras gets their
+    poses from find_poses() first. Writes `target`, whose extension selects the type of scene, and checkpoints to the
+    folder `state`. A run that was killed resumes from the last checkpoint and writes the same bytes. Ctrl-C writes the
+    current state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept
+    under this name. Raises NerfbakeError.
 
     dtype   number type of a PlenOctree's values; None: float16, or float32 if a value is too large for float16
     report  is called with the result
 
-    >>> fitted = fit_file("photographs", "fitted.npz", recipe=FitOptions(preset="fast", resolution=32, basis="SH1"))
+    >>> fitted = fit_file("photographs", "fitted.npz", options=FitOptions(preset="fast", resolution=32, basis="SH1"))
     >>> fitted.psnr > 15
     True
     """
     source, target = as_source(source), as_target(target)
-    album.require()
-    recipe.schedule()  # reports contradictory options before any picture is read
+    photographs.require()
+    options.schedule()  # reports contradictory options before any picture is read
     kind = _require(target)
     if dtype is not None and kind != "N3Tree":
         raise UsageError(f"`dtype` has no effect on {target.path}; allowed: with a PlenOctree")
     if state is not None:
         io.require_checkpoints(state)
-    posed, schedule = _read(steps, source, album, recipe, kind)
-    judges = posed.judges
-    if judges.scenery and kind not in ("N3Tree", *_OF_INNER_CUBE):
+    split, schedule = _read(steps, source, photographs, options, kind)
+    held_out = split.held_out
+    if held_out.scenery and kind not in ("N3Tree", *_OF_INNER_CUBE):
         found = f"{source.name} has scenery behind the object, which {target.path} cannot store"
         raise UsageError(f"{found}; allowed: a PlenOctree, a mesh or splats of the inner cube, or masks of the object")
-    steps.say(f"{source.name}: fits to {posed.trained}, measures on {judges}")
-    _say_if_far(steps, source.name, posed.trained.cameras)
-    if judges.scenery and len(posed.trained.pictures) < _FEW:
-        few = f"{len(posed.trained.pictures)} views are few for scenery"
+    steps.say(f"{source.name}: fits to {split.training}, measures on {held_out}")
+    _say_if_far(steps, source.name, split.training.cameras)
+    if held_out.scenery and len(split.training.pictures) < _FEW:
+        few = f"{len(split.training.pictures)} views are few for scenery"
         steps.say(f"{source.name}: {few}; parts that fewer than three of them show are placed far away")
     steps.say(f"{source.name}: `epochs={schedule}`")
-    keeper = None if state is None else CheckpointWriter(state, recipe.told(schedule, posed.trained), posed.trained)
-    course = FitRun(posed, schedule, recipe.rays(schedule))
+    checkpoints = (
+        None
+        if state is None
+        else CheckpointWriter(state, options.fingerprint(schedule, split.training), split.training)
+    )
+    run = FitRun(split, schedule, options.rays(schedule))
     with ExitStack() as output:
-        with interrupts() as asked:
-            field = _fit(steps, source, posed.trained, schedule, recipe, course, keeper, asked)
-            if judges.scenery and kind in _OF_INNER_CUBE:
+        with interrupts() as interrupted:
+            field = _fit(steps, source, split.training, schedule, options, run, checkpoints, interrupted)
+            if held_out.scenery and kind in _OF_INNER_CUBE:
                 steps.say(f"{source.name}: has scenery; {target.path} shows the inner cube")
                 field = field.shell(0)
-                posed = cut_out(steps, source, posed, build_field_from_bricks(field))
-                judges = posed.judges
-            scene = _converted(steps, source, target, kind, field, posed, recipe.rays(schedule), dtype, asked)
-            del field, posed
-            if asked:
+                split = cut_out(steps, source, split, build_field_from_bricks(field))
+                held_out = split.held_out
+            scene = _converted(steps, source, target, kind, field, split, options.rays(schedule), dtype, interrupted)
+            del field, split
+            if interrupted.is_set():
                 write_partial(steps, target, kind, scene, state, **_options(target, kind))
             written = output.enter_context(target.writing(steps, scene, **_options(target, kind)))
         del scene
-        if not asked:
+        if not interrupted.is_set():
             with kept_as_partial(steps, target, written):
-                fitted = _judged(steps, target, written, judges, schedule, recipe, course)
-    if asked:
+                fitted = _judged(steps, target, written, held_out, schedule, options, run)
+    if interrupted.is_set():
         raise Stopped(f"stopped before the quality was measured: {target.path} is complete")
     if report is not None:
         report(fitted)
@@ -303,7 +308,7 @@ def _say_if_far(steps: Steps, name: str, cameras: Cameras) -> None:
 
 
 def _read(
-    steps: Steps, source: Source, album: PhotographOptions, recipe: FitOptions, kind: str
+    steps: Steps, source: Source, photographs: PhotographOptions, options: FitOptions, kind: str
 ) -> tuple[SplitViews, Schedule]:
     """Read the photographs of a capture, and return the schedule for them.
 
@@ -311,17 +316,17 @@ def _read(
     mesh and splats are then fitted to them once more, so they need the larger ones.
     """
     require_poses(steps, source)
-    posed = read_photographs(steps, source, album)
-    schedule = recipe.schedule(posed.trained)
-    if not posed.trained.scenery or kind in _OF_INNER_CUBE:
-        return posed, schedule
-    edge = min(min(camera.width, camera.height) for views in posed for camera in views.cameras.cameras)
+    split = read_photographs(steps, source, photographs)
+    schedule = options.schedule(split.training)
+    if not split.training.scenery or kind in _OF_INNER_CUBE:
+        return split, schedule
+    edge = min(min(camera.width, camera.height) for views in split for camera in views.cameras.cameras)
     if (factor := scenery_scale(edge, schedule.finest)) > 1:
-        posed = SplitViews(*(views.reduced(factor) for views in posed))
-        schedule = recipe.schedule(posed.trained)
-        first = posed.trained.cameras.cameras[0]
+        split = SplitViews(*(views.reduced(factor) for views in split))
+        schedule = options.schedule(split.training)
+        first = split.training.cameras.cameras[0]
         steps.say(f"{source.name}: fits to and measures on pictures of {first.width}x{first.height} pixels")
-    return posed, schedule
+    return split, schedule
 
 
 def _require(target: Target) -> str:
@@ -345,7 +350,7 @@ def _require(target: Target) -> str:
 def _options(target: Target, kind: str) -> dict[str, Any]:
     """Return the options of the target's format."""
     if kind == "Meshes":
-        return MESH_FILE.options(io.format_for(target.path, kind, to=target.to))
+        return MeshFile().options(io.format_for(target.path, kind, to=target.to))
     return _OPTIONS.get(kind, {})
 
 
@@ -354,47 +359,47 @@ def _fit(
     source: Source,
     views: Views,
     schedule: Schedule,
-    recipe: FitOptions,
-    course: FitRun,
-    keeper: CheckpointWriter | None,
-    asked: list[int],
+    options: FitOptions,
+    run: FitRun,
+    checkpoints: CheckpointWriter | None,
+    interrupted: threading.Event,
 ) -> BrickField:
-    """Fit until the schedule ends, or until Ctrl-C adds an item to `asked`, and return the field."""
+    """Fit until the schedule ends, or until Ctrl-C sets `interrupted`, and return the field."""
     from nerfbake.stages.views_to_field import fit_field
 
-    now = start = _start(keeper, course)
+    state = start = _start(checkpoints, run)
     with steps.phase("fitting"), io.blame(source.name):
-        box = None if recipe.box is None else world_box(recipe.box)
-        chosen: dict[str, Any] = {"basis": recipe.basis_of(views), "box": box, "seed": recipe.seed}
-        for now in fit_field(views, schedule=schedule, exposure=recipe.gains(views), start=start, **chosen):
+        box = None if options.box is None else world_box(options.box)
+        chosen: dict[str, Any] = {"basis": options.basis_of(views), "box": box, "seed": options.seed}
+        for state in fit_field(views, schedule=schedule, exposure=options.gains(views), start=start, **chosen):
             with progress.listening(None):  # measuring does not report progress
-                ended = course.follow(now)
-            if keeper is not None and (ended or asked or keeper.is_due):
-                _keep(keeper, now, course)
-            progress.report(course.share(now), course.told(now))
-            if asked:
+                ended = run.follow(state)
+            if checkpoints is not None and (ended or interrupted.is_set() or checkpoints.is_due):
+                _keep(checkpoints, state, run)
+            progress.report(run.share(state), run.progress_text(state))
+            if interrupted.is_set():
                 break
-        field: BrickField = now.field()
-        return field
+        assert state is not None, "a schedule has at least one step"
+        return state.field()
 
 
-def _start(keeper: CheckpointWriter | None, course: FitRun) -> Any:
+def _start(checkpoints: CheckpointWriter | None, run: FitRun) -> FitState | None:
     """Return the state in the last checkpoint, or None if there is none."""
-    last = None if keeper is None else keeper.last()
+    last = None if checkpoints is None else checkpoints.last()
     if last is None:
         return None
     from nerfbake.stages.views_to_field import FitState
 
     with io.blame(last.path):
-        now = FitState.of_arrays(last.arrays)
-    course.goes_on(now, worked=last.worked, passed=last.passed, curve=last.curve)
-    return now
+        state = FitState.of_arrays(last.arrays)
+    run.goes_on(state, worked=last.worked, passed=last.passed, curve=last.curve)
+    return state
 
 
-def _keep(keeper: CheckpointWriter, now: Any, course: FitRun) -> None:
-    worked, passed = course.clock.worked, course.clock.passed
-    with course.clock.paused():
-        keeper.keep(now, worked=worked, passed=passed, curve=course.curve)
+def _keep(checkpoints: CheckpointWriter, state: FitState, run: FitRun) -> None:
+    worked, passed = run.clock.worked, run.clock.passed
+    with run.clock.paused():
+        checkpoints.keep(state, worked=worked, passed=passed, curve=run.curve)
 
 
 def _converted(
@@ -403,10 +408,10 @@ def _converted(
     target: Target,
     kind: str,
     field: BrickField,
-    posed: SplitViews,
+    split: SplitViews,
     rays: int,
     dtype: Dtype | None,
-    asked: list[int],
+    interrupted: threading.Event,
 ) -> Any:
     """Return a fitted field as the type of scene of the target. A mesh and splats are fitted to the views once more."""
     with steps.phase("putting the field together") as tell, io.blame(target.path):
@@ -414,46 +419,50 @@ def _converted(
             case "SparseVoxelOctree":
                 return build_octree_from_bricks(field)
             case "QuantisedOctree":
-                return _compressed(field, _held_out(posed.judges, rays), target, tell)
+                return _compressed(field, _held_out(split.held_out, rays), target, tell)
             case "Volume":
                 form = io.format_for(target.path, kind, to=target.to)
                 return build_vdb_from_bricks(field, grids=form.load_volume_module().FIELD_GRIDS)
             case "N3Tree":
-                return _tree(field, dtype, _held_out(posed.judges, rays))
+                return _tree(field, dtype, _held_out(split.held_out, rays))
         whole = build_field_from_bricks(field)
         splats = build_splats(whole) if kind == "Splats" else None
     if splats is None:
-        return build_mesh(steps, source, whole, posed.trained, target)
-    return splats if asked else fitted_splats(steps, source, splats, posed.trained, USUAL, asked)
+        return build_mesh(steps, source, whole, split.training, target)
+    return (
+        splats
+        if interrupted.is_set()
+        else fitted_splats(steps, source, splats, split.training, SplatsOptions(), interrupted)
+    )
 
 
 def _judged(
     steps: Steps,
     target: Target,
     written: io.PendingFile,
-    judges: Views,
+    held_out: Views,
     schedule: Schedule,
-    recipe: FitOptions,
-    course: FitRun,
+    options: FitOptions,
+    run: FitRun,
 ) -> FitResult:
     """Read the written file and measure it on the held-out views."""
-    samples = recipe.rays(schedule)
-    worked, passed = course.clock.worked, course.clock.passed
-    with Source(target.path).blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
+    samples = options.rays(schedule)
+    worked, passed = run.clock.worked, run.clock.passed
+    with Source(target.path).blamed(steps, f"measuring on {len(held_out.pictures)} pictures"):
         with steps.phase(f"reading {target.name}"), read_back_as(target.path):
             loaded: io.Loaded[Any] = io.load_with_format(written.path)
         scene = loaded.scene if isinstance(loaded.scene, Meshes | Splats) else build_field(loaded.scene)
-        views = measure_views(scene, judges, samples=samples)
-        shapes = measure_silhouettes(scene, judges) if isinstance(scene, Meshes) else ()
-    told = str(loaded.scene)
-    fitted = FitResult(target.path, told, loaded.size, str(schedule), views, worked, passed, tuple(course.curve))
+        views = measure_views(scene, held_out, samples=samples)
+        shapes = measure_silhouettes(scene, held_out) if isinstance(scene, Meshes) else ()
+    content = str(loaded.scene)
+    fitted = FitResult(target.path, content, loaded.size, str(schedule), views, worked, passed, tuple(run.curve))
     io.report_result(psnr=fitted.psnr)
-    corrected = f" ({fitted.corrected:.2f} dB with their exposures corrected)" if recipe.gains(judges) else ""
-    rays = replace(judges.cameras, samples=samples).rays_told
+    corrected = f" ({fitted.corrected:.2f} dB with their exposures corrected)" if options.gains(held_out) else ""
+    rays = replace(held_out.cameras, samples=samples).rays_text
     outlines = f", silhouettes' IoU {sum(shapes) / len(shapes):.4f}" if shapes else ""
-    seen = f"{fitted.psnr:.2f} dB{corrected}, SSIM {fitted.ssim:.4f}{outlines} on {judges}{rays}"
+    seen = f"{fitted.psnr:.2f} dB{corrected}, SSIM {fitted.ssim:.4f}{outlines} on {held_out}{rays}"
     steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
-    if fitted.psnr < (plain := plain_psnr(judges)) + _POOR:
+    if fitted.psnr < (plain := plain_psnr(held_out)) + _POOR:
         check = "check that the poses belong to these pictures, in this order, and are not mirrored"
         steps.say(f"{target.path}: a poor fit; pictures of a single colour have {plain:.2f} dB; {check}")
     return fitted

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from nerfbake import catalog, io
 from nerfbake.errors import InvalidFile, UsageError
@@ -17,7 +18,8 @@ _LISTED = 10  # most grids that a line names
 GRIDS = ("density", "Cd", "sh", "index")
 
 
-class GridChoice(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class GridChoice:
     """Grids of a volume, by name or number, and its up axis. By default the volume is not changed."""
 
     grids: tuple[str, ...] = ()
@@ -49,9 +51,6 @@ class GridChoice(NamedTuple):
             problem = chosen.unread[0]
             raise InvalidFile(problem._replace(allowed=f"{problem.allowed}; `grid` for the others"), source=source.path)
         return chosen
-
-
-AS_IT_IS = GridChoice()
 
 
 def tell_unused(steps: Steps, source: Source, scene: Any) -> None:

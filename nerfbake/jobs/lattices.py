@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from nerfbake import io
-from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output
+from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.files import AnySource, FolderTarget, as_source
 from nerfbake.jobs.readings import Reading, Size, lattice_loss
 from nerfbake.jobs.steps import SILENT, Steps
@@ -26,7 +26,7 @@ def bake_lattice(
     resolution: int | tuple[int, int, int] | None = None,
     sigma_min: float | None = None,
     merged: bool = False,
-    budget: Budget = UNLIMITED,
+    budget: Budget = Budget(),
     steps: Steps = SILENT,
     **options: Unpack[LatticeOptions],
 ) -> LatticeField:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -22,7 +22,6 @@ from nerfbake.jobs.files import (
 )
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.photographs import (
-    ALL,
     PhotographOptions,
     SplitViews,
     mean_of,
@@ -57,39 +56,41 @@ _COUNTED = 0.03  # share by which the number of triangles may differ from the on
 Image = Literal["png", "jpeg", "webp"]
 
 
-class MeshViews(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class MeshViews:
     """The pictures that a mesh is textured from.
 
-    views   a capture; None: pictures of the scene, from all sides
-    frames  number of these pictures; edge: their width and height in pixels
-    album   options for the photographs of the capture
+    views        a capture; None: pictures of the scene, from all sides
+    frames       number of these pictures; edge: their width and height in pixels
+    photographs  options for the photographs of the capture
     """
 
     views: str | None = None
     frames: int = 100
     edge: int = EDGE
-    album: PhotographOptions = ALL
+    photographs: PhotographOptions = PhotographOptions()
 
     @property
     def inputs(self) -> tuple[str | None, ...]:
         """The paths that are read."""
-        return (self.views, self.album.masks, self.album.test)
+        return (self.views, self.photographs.masks, self.photographs.test)
 
-    def posed(self, steps: Steps, source: Source, field: RadianceField, splats: Splats | None) -> SplitViews:
+    def split(self, steps: Steps, source: Source, field: RadianceField, splats: Splats | None) -> SplitViews:
         """Return the views to fit to and the held-out views. Raises NerfbakeError if they show something else.
 
         splats: those that the field was made of, which are sharper than its voxels; None: it was made of other things.
         """
         if self.views is not None:
-            posed = read_photographs_of(steps, Source(self.views), self.album, field)
-            require_alike(steps, source, field, posed.judges, self.views)
-            return posed
+            split = read_photographs_of(steps, Source(self.views), self.photographs, field)
+            require_alike(steps, source, field, split.held_out, self.views)
+            return split
         with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
             shown = field if splats is None else splats
             return render_split(shown, frames=self.frames, edge=self.edge, samples=SAMPLES, framed=field)
 
 
-class MeshOptions(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class MeshOptions:
     """Options of a mesh.
 
     triangles  the largest number of triangles; several numbers, the largest first, make levels of detail
@@ -113,7 +114,8 @@ class MeshOptions(NamedTuple):
             raise UsageError(f"`triangles` are {found}; allowed: 4 or more, each level fewer than the one before")
 
 
-class MeshFile(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class MeshFile:
     """Options of the file.
 
     up     for a .glb: the up axis of the field, which the nodes rotate to y, glTF's; None: z
@@ -135,16 +137,13 @@ class MeshFile(NamedTuple):
         return fitting | {name: value for name, value in given.items() if value is not None}
 
 
-AROUND, PLAIN, AS_IT_IS = MeshViews(), MeshOptions(), MeshFile()
-
-
 class MeshQuality(NamedTuple):
     """How near a mesh comes to held-out views.
 
     views        error of its pictures on each of them, with highlights if it has any
     diffuse      the same without highlights; None if it has none
     silhouettes  intersection over union of its silhouette and the photograph's, for each view
-    judges       what it was measured on, in words
+    judged_on    what it was measured on, in words
     lit          of a mesh with materials: PSNR in dB under the map, on the pixels that the mesh covers, of each view
                  that it is in. `views` are then errors of the albedo alone, which say nothing about the file
     """
@@ -152,7 +151,7 @@ class MeshQuality(NamedTuple):
     views: tuple[ViewError, ...]
     diffuse: tuple[ViewError, ...] | None
     silhouettes: tuple[float, ...]
-    judges: str
+    judged_on: str
     lit: tuple[float, ...] | None = None
 
     @property
@@ -179,16 +178,16 @@ class MeshQuality(NamedTuple):
 
     def __str__(self) -> str:
         if self.lit:
-            told = (
+            text = (
                 f"{self.psnr:.2f} dB under the map on the pixels that the mesh covers (worst view {min(self.lit):.2f})"
             )
-            return f"{told}, silhouettes' IoU {self.iou:.4f} on {self.judges}"
+            return f"{text}, silhouettes' IoU {self.iou:.4f} on {self.judged_on}"
         plain = ""
         if self.diffuse is not None:
             psnr, ssim = mean_of(self.diffuse, "psnr"), mean_of(self.diffuse, "ssim")
             plain = f" ({psnr:.2f} dB, SSIM {ssim:.4f} without highlights)"
-        told = f"{self.psnr:.2f} dB, SSIM {self.ssim:.4f}{plain}, silhouettes' IoU {self.iou:.4f} on {self.judges}"
-        return f"{told}; worst view {self.worst.name}: {self.worst.psnr:.2f} dB"
+        text = f"{self.psnr:.2f} dB, SSIM {self.ssim:.4f}{plain}, silhouettes' IoU {self.iou:.4f} on {self.judged_on}"
+        return f"{text}; worst view {self.worst.name}: {self.worst.psnr:.2f} dB"
 
 
 class MeshResult(NamedTuple):
@@ -214,9 +213,9 @@ def bake_mesh(
     source: AnySource,
     target: AnyTarget | FolderTarget,
     *,
-    model: MeshViews = AROUND,
-    recipe: MeshOptions = PLAIN,
-    file: MeshFile = AS_IT_IS,
+    pictures: MeshViews = MeshViews(),
+    options: MeshOptions = MeshOptions(),
+    file: MeshFile = MeshFile(),
     min_psnr: float | None = None,
     steps: Steps = SILENT,
     report: Callable[[MeshResult], None] | None = None,
@@ -224,48 +223,50 @@ def bake_mesh(
     """Turn a radiance field into a textured mesh and return the quality of its file. This is `nerfbake mesh`.
 
     Reads `source`, a PlenOctree, an octree, a volume with colours, a lattice or splats, of a scene with scenery the
-    inner cube, and the photographs of `model`. Without photographs, -y of splats becomes z, as in view_file(). Writes
-    `target`: a file with one texture or with colours at the vertices, depending on its format, or a folder as
+    inner cube, and the photographs of `pictures`. Without photographs, -y of splats becomes z, as in view_file().
+    Writes `target`: a file with one texture or with colours at the vertices, depending on its format, or a folder as
     nerf2mesh's stage 1, with the highlights that `nerfbake atlas` bakes. Raises NerfbakeError.
 
     min_psnr  lowest allowed mean PSNR on the held-out views, in dB; below it the output becomes `target`.rejected and
               BudgetMissed is raised (exit code 3)
     report    is called with the result, also if min_psnr is missed
 
-    >>> recipe = MeshOptions((2000,), texture=256)
-    >>> made = bake_mesh("a.npz", "a.glb", model=MeshViews(frames=8, edge=64), recipe=recipe)
+    >>> options = MeshOptions(triangles=(2000,), texture=256)
+    >>> made = bake_mesh("a.npz", "a.glb", pictures=MeshViews(frames=8, edge=64), options=options)
     >>> made.quality.psnr > 15
     True
     """
     source, place = as_source(source), mesh_target(target)
-    model.album.require()
-    options = require_mesh(place, recipe, file, inputs=(source.path, *model.inputs, file.environment))
+    pictures.photographs.require()
+    format_options = require_mesh(place, options, file, inputs=(source.path, *pictures.inputs, file.environment))
     if isinstance(place, FolderTarget):
-        Budget(min_psnr).require_folder(place, "Stage1", (source.path, *model.inputs))
+        Budget(min_psnr=min_psnr).require_folder(place, "Stage1", (source.path, *pictures.inputs))
     else:
-        Budget(min_psnr).require(place)
+        Budget(min_psnr=min_psnr).require(place)
     light = None if file.environment is None else _read_light(steps, Source(file.environment))
-    reading = Reading(steps, source, splats=upright_without(model.views))
+    reading = Reading(steps, source, splats=upright_without(pictures.views))
     reading.use_inner_cube()
     field = reading.field(visible="no surface")
     splats = reading.shown if isinstance(reading.shown, Splats) else None
     del reading
-    posed = model.posed(steps, source, field, splats)
+    split = pictures.split(steps, source, field, splats)
     del splats
     clock = Clock()
-    scene = build_mesh(steps, source, field, posed.trained, place, recipe)
+    scene = build_mesh(steps, source, field, split.training, place, options)
     materials: tuple[Material, ...] = ()
     if light is not None and isinstance(scene, Meshes):
-        scene, materials = _with_materials(steps, source, scene, posed.trained, light)
+        scene, materials = _with_materials(steps, source, scene, split.training, light)
     worked = clock.worked
     del field
-    told = reporting(lambda: report(found) if report is not None else None)
-    with told, place.writing(steps, scene, **options) as written:
-        pictures = str(posed.judges) if model.views else f"{len(posed.judges.pictures)} pictures of {source.name}"
-        loaded, quality = _judged(steps, place, written.path, posed.judges, pictures)
+    reported = reporting(lambda: report(found) if report is not None else None)
+    with reported, place.writing(steps, scene, **format_options) as written:
+        judged_on = (
+            str(split.held_out) if pictures.views else f"{len(split.held_out.pictures)} pictures of {source.name}"
+        )
+        loaded, quality = _judged(steps, place, written.path, split.held_out, judged_on)
         if light is not None:
             written_mesh = replace(_levels(loaded)[0], material=_levels(scene)[0].material)
-            quality = quality._replace(lit=_lit(steps, source, written_mesh, posed.judges, light))
+            quality = quality._replace(lit=_lit(steps, source, written_mesh, split.held_out, light))
         levels = tuple(len(mesh.faces) for mesh in _levels(scene))
         found = MeshResult(place.path, str(loaded), written.size, levels, quality, worked, materials)
         io.report_result(psnr=quality.psnr)
@@ -295,8 +296,8 @@ def mesh_target(target: AnyTarget | FolderTarget) -> Target | FolderTarget:
 
 def require_mesh(
     place: Target | FolderTarget,
-    recipe: MeshOptions = PLAIN,
-    file: MeshFile = AS_IT_IS,
+    options: MeshOptions = MeshOptions(),
+    file: MeshFile = MeshFile(),
     *,
     inputs: Sequence[str | None] = (),
 ) -> dict[str, Any]:
@@ -304,28 +305,28 @@ def require_mesh(
 
     inputs: the paths that are read. Raises NerfbakeError if a mesh with these options cannot be written there.
     """
-    recipe.require()
+    options.require()
     if isinstance(place, FolderTarget):
         place.require("Stage1", inputs)
-        given = [name for name, value in file._asdict().items() if value]
-        if given or len(recipe.triangles) > 1:
+        given = [name for name, value in vars(file).items() if value]
+        if given or len(options.triangles) > 1:
             names = ", ".join(f"`{name}`" for name in given) or "levels of detail"
             raise UsageError(f"{place.path} is a folder, for which {names} have no effect; allowed: with a file")
         return {}
     place.require_measurable("mesh measures the file that it wrote")
     form = place.require("Meshes")
-    options = file.options(form)
-    if file.environment is not None and "reversible" not in options:
+    format_options = file.options(form)
+    if file.environment is not None and "reversible" not in format_options:
         raise UsageError(f"{form.suffix} stores no materials; allowed: a format that does, glTF")
-    form.require_options(options)
-    if len(recipe.triangles) > 1 and "quantised" not in options:
+    form.require_options(format_options)
+    if len(options.triangles) > 1 and "quantised" not in format_options:
         raise UsageError(
             f"{form.suffix} stores one level of detail; allowed: one number of triangles, or another format"
         )
     stem = place.path[: -len(form.suffix)] if place.to is None else place.path
     for ending in form.spread:
         io.require_absent(stem + ending, force=place.force)
-    return options
+    return format_options
 
 
 def build_mesh(
@@ -334,7 +335,7 @@ def build_mesh(
     field: RadianceField,
     views: Views,
     place: Target | FolderTarget,
-    recipe: MeshOptions = PLAIN,
+    options: MeshOptions = MeshOptions(),
 ) -> Meshes | Stage1:
     """Return the mesh of a field with the appearance of these views, as the output stores it."""
     from nerfbake.stages.field_to_surface import build_surface
@@ -346,27 +347,27 @@ def build_mesh(
     from nerfbake.stages.views_to_vertices import move_vertices
 
     with source.blamed(steps, "finding the surface"):
-        box = None if recipe.box is None else world_box(recipe.box)
-        options: dict[str, Any] = {"triangles": recipe.triangles[0], "box": box, "largest": recipe.largest}
-        surface = build_surface(field, views.cameras, **options)
+        box = None if options.box is None else world_box(options.box)
+        triangles, largest = options.triangles[0], options.largest
+        surface = build_surface(field, views.cameras, triangles=triangles, box=box, largest=largest)
     with source.blamed(steps, "moving vertices to the silhouettes"):
         surface = move_vertices(surface, views, rounds=_RIM_ROUNDS)
-    levels, edge = [], recipe.texture
-    for number, triangles in enumerate(recipe.triangles):
-        told = f" of level {number}" if number else ""
-        with source.blamed(steps, f"unwrapping the surface{told}"):
+    levels, edge = [], options.texture
+    for number, triangles in enumerate(options.triangles):
+        of_level = f" of level {number}" if number else ""
+        with source.blamed(steps, f"unwrapping the surface{of_level}"):
             mesh = simplify_surface(surface, triangles=triangles) if number else surface
             _tell_count(steps, place.path, len(mesh.faces), triangles)
             unwrapped = unwrap_surface(mesh, edge=edge)
-        with source.blamed(steps, f"fitting texture and vertices in turns{told}"):
+        with source.blamed(steps, f"fitting texture and vertices in turns{of_level}"):
             for _ in progress.each(range(_TURNS)):
                 # One ray a pixel and fewer texels take a quarter of the time, and the vertices are as good.
                 coarse = fit_texture(unwrapped, views, edge=min(edge, _TURN_TEXTURE), samples=1)
                 unwrapped = replace(move_vertices(coarse, views, rounds=_MOVES), texture=None)
         if isinstance(place, FolderTarget):
             with source.blamed(steps, "fitting texture and highlights"):
-                return fit_specular(unwrapped, views, edge=edge, seed=recipe.seed)
-        with source.blamed(steps, f"fitting the texture{told}"):
+                return fit_specular(unwrapped, views, edge=edge, seed=options.seed)
+        with source.blamed(steps, f"fitting the texture{of_level}"):
             level = fit_texture(unwrapped, views, edge=edge)
             textured = bool(io.format_for(place.path, "Meshes", to=place.to).choices("image"))
             levels.append(level if textured else colour_vertices(level))
@@ -403,34 +404,34 @@ def _with_materials(
     return Meshes((levels[0].mesh,), tuple(each.mesh for each in levels[1:])), levels[0].clusters
 
 
-def _lit(steps: Steps, source: Source, mesh: Mesh, judges: Views, light: EnvironmentMap) -> tuple[float, ...]:
+def _lit(steps: Steps, source: Source, mesh: Mesh, held_out: Views, light: EnvironmentMap) -> tuple[float, ...]:
     """Return the PSNR in dB of a mesh with materials under the light, for each held-out view that shows it."""
     from nerfbake.stages.views_and_light_to_materials import light_pixels
 
     with source.blamed(steps, "lighting the held-out views"):
-        return light_pixels(mesh, judges, light, samples=SAMPLES)
+        return light_pixels(mesh, held_out, light, samples=SAMPLES)
 
 
-def measure_mesh(scene: Meshes | Stage1, judges: Views, *, told: str) -> MeshQuality:
-    """Measure a mesh on held-out views. told: the judges in words."""
+def measure_mesh(scene: Meshes | Stage1, held_out: Views, *, judged_on: str) -> MeshQuality:
+    """Measure a mesh on held-out views. judged_on: these views in words."""
     plain = Meshes(tuple(mesh for mesh in scene.meshes if mesh is not None))
     lit = isinstance(scene, Stage1)
     with progress.part(0, 0.9):
-        views = measure_views(scene, judges, samples=SAMPLES)
-    diffuse = measure_views(plain, judges, samples=SAMPLES) if lit else None
-    return MeshQuality(views, diffuse, measure_silhouettes(plain, judges), told)
+        views = measure_views(scene, held_out, samples=SAMPLES)
+    diffuse = measure_views(plain, held_out, samples=SAMPLES) if lit else None
+    return MeshQuality(views, diffuse, measure_silhouettes(plain, held_out), judged_on)
 
 
 def _judged(
-    steps: Steps, place: Target | FolderTarget, path: str, judges: Views, pictures: str
+    steps: Steps, place: Target | FolderTarget, path: str, held_out: Views, judged_on: str
 ) -> tuple[Meshes | Stage1, MeshQuality]:
-    """Read the written file or folder, and measure it on the held-out views. pictures: these views in words."""
-    told = pictures + replace(judges.cameras, samples=SAMPLES).rays_told
-    with steps.phase(f"measuring on {len(judges.pictures)} pictures"), io.blame(place.path):
+    """Read the written file or folder, and measure it on the held-out views. judged_on: these views in words."""
+    judged_on += replace(held_out.cameras, samples=SAMPLES).rays_text
+    with steps.phase(f"measuring on {len(held_out.pictures)} pictures"), io.blame(place.path):
         with read_back_as(place.path):
             folder = isinstance(place, FolderTarget)
             found: Meshes | Stage1 = io.load_folder(path, Stage1) if folder else io.load(path, Meshes)
-        return found, measure_mesh(found, judges, told=told)
+        return found, measure_mesh(found, held_out, judged_on=judged_on)
 
 
 def _levels(scene: Meshes | Stage1) -> list[Mesh]:

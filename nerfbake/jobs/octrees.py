@@ -6,11 +6,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 from nerfbake import memory
-from nerfbake.jobs.budgets import UNLIMITED, Budget, judge_output
+from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
 from nerfbake.jobs.grids import require_grids, warn_about_halves
 from nerfbake.jobs.readings import FIELDS, TAKEN, Reading
-from nerfbake.jobs.splat_voxels import UPRIGHT, USUAL, Part, SplatVoxels
+from nerfbake.jobs.splat_voxels import Part, SplatVoxels
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
@@ -28,7 +28,7 @@ def bake_octree(
     *,
     resolution: int | tuple[int, int, int] | None = None,
     box: Part = "inner",
-    splats: SplatVoxels = USUAL,
+    splats: SplatVoxels = SplatVoxels(),
     resample: Resample = "mean",
     layout: Layout = "full",
     dtype: Literal["float32", "float16"] = "float32",
@@ -36,7 +36,7 @@ def bake_octree(
     no_child: int | None = None,
     basis: str | None = None,
     scale: float | None = None,
-    budget: Budget = UNLIMITED,
+    budget: Budget = Budget(),
     steps: Steps = SILENT,
 ) -> SparseVoxelOctree:
     """Make a sparse voxel octree of a scene and return it. This is `nerfbake svo`.
@@ -88,7 +88,7 @@ def bake_lod(
     *,
     level: int,
     no_child: int | None = None,
-    budget: Budget = UNLIMITED,
+    budget: Budget = Budget(),
     steps: Steps = SILENT,
 ) -> SparseVoxelOctree:
     """Cut an octree at a level and return the result. This is `nerfbake lod`.
@@ -127,8 +127,8 @@ def bake_volume(
     sigma_min: float | None = None,
     up: Literal["y", "z"] = "z",
     box: Part = "inner",
-    splats: SplatVoxels = UPRIGHT,
-    budget: Budget = UNLIMITED,
+    splats: SplatVoxels = SplatVoxels(up="stated"),
+    budget: Budget = Budget(),
     steps: Steps = SILENT,
 ) -> Volume:
     """Convert a scene to VDB grids and return the volume. This is `nerfbake vdb`.

@@ -12,15 +12,16 @@ import tempfile
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Unpack
 
 from nerfbake import catalog, io, memory, progress
 from nerfbake.errors import BudgetMissed, UsageError
 from nerfbake.jobs.budgets import Budget, judge_output
-from nerfbake.jobs.compressions import LEAST_LOSS, MAX_LOSS, CompressionGoal, GroundTruth
+from nerfbake.jobs.compressions import MAX_LOSS, CompressionGoal, GroundTruth
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
-from nerfbake.jobs.grids import AS_IT_IS, GridChoice, tell_unused
+from nerfbake.jobs.grids import GridChoice, tell_unused
 from nerfbake.jobs.photographs import with_pictures
 from nerfbake.jobs.pictures import PlacedMesh
 from nerfbake.jobs.readings import FIELDS, Reading, upright_without
@@ -90,7 +91,8 @@ _COPIES = 4  # copies of the triangles while a page is made: arrays, bytes, comp
 Colour = tuple[float, float, float]
 
 
-class PageLook(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class PageLook:
     """Display options of a page. cameras: a capture to look from, or None. The others are those of Page."""
 
     title: str
@@ -99,7 +101,8 @@ class PageLook(NamedTuple):
     lookup: Literal["nearest", "trilinear"]
 
 
-class PageExtras(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class PageExtras:
     """The meshes of a page beside its field, and their composite mode, as arguments of Page."""
 
     meshes: tuple[Mesh, ...] = ()
@@ -113,7 +116,7 @@ class PageExtras(NamedTuple):
         meshes = mesh.read(steps).meshes
         with io.blame(mesh.path):
             memory.require("the page's triangles and textures", _COPIES * memory.size_of(meshes))
-        return PageExtras(meshes, mesh.how)
+        return PageExtras(meshes=meshes, composite=mesh.how)
 
     def render(self, field: RadianceField, view: Camera, **options: Unpack[RenderOptions]) -> Image:
         """Render the first view of field and meshes. Options are passed to render_field()."""
@@ -160,8 +163,8 @@ def view_file(
     target: AnyTarget | None = None,
     *,
     data: Data | None = None,
-    goal: CompressionGoal = LEAST_LOSS,
-    choice: GridChoice = AS_IT_IS,
+    goal: CompressionGoal = CompressionGoal(),
+    choice: GridChoice = GridChoice(),
     cameras: str | None = None,
     photographs: bool = False,
     truth: str | None = None,
@@ -207,23 +210,30 @@ def view_file(
     page of a SH1 page field of 573 rows, 2x2x2 cells of 8^3
     """
     source = as_source(source)
-    wish, budget = _Wish(data, goal, GroundTruth(cameras, truth, samples=samples)), Budget(min_psnr, cameras, samples)
-    wish.photographs.require()
+    ground_truth = GroundTruth(cameras=cameras, truth=truth, samples=samples)
+    request = _Request(data=data, goal=goal, photographs=ground_truth)
+    budget = Budget(min_psnr=min_psnr, cameras=cameras, samples=samples)
+    request.photographs.require()
     if photographs and cameras is None:
         raise UsageError("`photographs` needs `cameras`, the capture that they are read from")
-    if data == "exact" and wish.anew:
+    if data == "exact" and request.anew:
         raise UsageError(
             "exact data are not compressed; allowed: `max_loss`, `max_size` and `truth` with `data=compressed`"
         )
     with written_or_opened(target) as file:
         form = file.require("Page")
         budget.require(file)
-        read = _read(steps, source, wish, choice)
+        read = _read(steps, source, request, choice)
         if stage1 is not None and not isinstance(read.scene, BakedAtlas):
             raise UsageError(f"`stage1` needs an atlas, and {source.name} is not one; allowed: an atlas folder")
-        look = PageLook(catalog.scene_name(source.name) if title is None else title, cameras, background, lookup)
+        look = PageLook(
+            title=catalog.scene_name(source.name) if title is None else title,
+            cameras=cameras,
+            background=background,
+            lookup=lookup,
+        )
         if isinstance(read.scene, Stage1 | BakedAtlas | Meshes):
-            if mesh or wish.anew or photographs or min_psnr is not None:
+            if mesh or request.anew or photographs or min_psnr is not None:
                 raise UsageError(
                     f"{source.name} contains triangles, for which a goal, `truth`, `photographs`, `min_psnr` and "
                     "`mesh` have no effect; allowed: these options with a field"
@@ -234,11 +244,11 @@ def view_file(
         shown = _framed(steps, source, read, mesh, look, photographs=photographs)
         if data == "exact" or isinstance(read.scene, Volume):
             made = _exact(steps, source, shown)
-        elif read.data is not None and not wish.anew:
+        elif read.data is not None and not request.anew:
             steps.say(f"{source.name}: already compressed, so the page carries it unchanged")
             made = shown.page(form.load_page_module().script_readable(read.data))
         else:
-            made = _compressed(steps, source, file, form, read, shown, wish)
+            made = _compressed(steps, source, file, form, read, shown, request)
         with file.writing(steps, made) as written:
             judged = shown.field if read.splats is None else read.splats
             judge_output(
@@ -247,7 +257,8 @@ def view_file(
     return made
 
 
-class _Wish(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class _Request:
     """The requested data of a page."""
 
     data: Data | None
@@ -257,7 +268,7 @@ class _Wish(NamedTuple):
     @property
     def anew(self) -> bool:
         """Whether a goal or photographs are given, so that a compressed source is compressed again."""
-        return self.goal != LEAST_LOSS or self.photographs.truth is not None
+        return self.goal != CompressionGoal() or self.photographs.truth is not None
 
 
 class _Shown(NamedTuple):
@@ -273,9 +284,20 @@ class _Shown(NamedTuple):
     photographs: tuple[bytes, ...]
 
     def page(self, content: Any) -> Page:
-        title, _, background, lookup = self.look
-        look = title, self.turns, background, lookup
-        return Page(content, self.field, self.views, self.cover, *look, *self.beside, self.around, self.photographs)
+        return Page(
+            content,
+            self.field,
+            self.views,
+            self.cover,
+            self.look.title,
+            turns=self.turns,
+            background=self.look.background,
+            lookup=self.look.lookup,
+            meshes=self.beside.meshes,
+            composite=self.beside.composite,
+            around=self.around,
+            photographs=self.photographs,
+        )
 
 
 class _Content(NamedTuple):
@@ -296,18 +318,20 @@ class _Content(NamedTuple):
     splats: Splats | None = None
 
 
-def _read(steps: Steps, source: Source, wish: _Wish, choice: GridChoice) -> _Content:
+def _read(steps: Steps, source: Source, request: _Request, choice: GridChoice) -> _Content:
     """Read the source."""
-    standing = upright_without(wish.photographs.cameras)
+    standing = upright_without(request.photographs.cameras)
     reading = Reading(steps, source, *FIELDS, Meshes, Stage1, BakedAtlas, choice=choice, splats=standing)
     tell_unused(steps, source, reading.scene)
     if isinstance(reading.scene, Volume):
-        if wish.data == "compressed" or wish.anew:
+        if request.data == "compressed" or request.anew:
             raise UsageError(f"{source.name} is a volume, which cannot be compressed; allowed: `data=exact`")
-        if wish.data is None:
+        if request.data is None:
             steps.say(f"{source.name}: volumes are not compressed, so the page carries its values in float16")
     reading.use_inner_cube(keep=True)
-    if isinstance(reading.scene, LatticeField | Splats) or (isinstance(reading.scene, N3Tree) and wish.data != "exact"):
+    if isinstance(reading.scene, LatticeField | Splats) or (
+        isinstance(reading.scene, N3Tree) and request.data != "exact"
+    ):
         reading.octree()
     splats = reading.shown if isinstance(reading.shown, Splats) else None
     return _Content(reading.data, reading.scene, reading.held_out, reading.scenery, splats)
@@ -328,20 +352,20 @@ def _framed(
     stand around it.
     """
     scenery = read.scenery
-    posed = scenery.held_out.cameras if scenery is not None and scenery.held_out is not None else None
+    held_out = scenery.held_out.cameras if scenery is not None and scenery.held_out is not None else None
     with source.blamed(steps, "building the field"):
         field = build_field(read.scene)
         whole = field if scenery is None else build_field(scenery)
         around = () if scenery is None else build_page_shells(scenery)
     origin = None if read.splats is None else read.splats.origin
-    views, first = page_views(steps, field, look.cameras, posed, name=source.name, origin=origin)
+    views, first = page_views(steps, field, look.cameras, held_out, name=source.name, origin=origin)
     previews: tuple[bytes, ...] = ()
     if photographs:
         views, previews = _previews(steps, str(look.cameras), views)
     beside = PageExtras.of(steps, mesh)
     with source.blamed(steps, "rendering the cover"):
         cover = beside.render(whole, first, background=look.background, lookup=look.lookup)
-    turns = look.cameras is None and posed is None
+    turns = look.cameras is None and held_out is None
     return _Shown(field, views, cover, beside, look, turns, around, previews)
 
 
@@ -366,32 +390,32 @@ def _exact(steps: Steps, source: Source, shown: _Shown) -> Page:
 
 
 def _compressed(
-    steps: Steps, source: Source, file: Target, form: catalog.Format, read: _Content, shown: _Shown, wish: _Wish
+    steps: Steps, source: Source, file: Target, form: catalog.Format, read: _Content, shown: _Shown, request: _Request
 ) -> Page:
     """Make the page of compressed data, and print their size and loss."""
-    found = _compression(steps, source, read, shown, wish, form)
+    found = _compression(steps, source, read, shown, request, form)
     steps.say(f"{file.name}: {found}")
-    if wish.goal == LEAST_LOSS and found.loss > MAX_LOSS:
+    if request.goal == CompressionGoal() and found.loss > MAX_LOSS:
         most = f"the compressed data are limited to {_MOST_BYTES / 1e6:g} MB by default"
         steps.say(f"{file.name}: {most}; `max_loss={MAX_LOSS:g}` makes a larger page")
     return shown.page(found.quantised)
 
 
 def _compression(
-    steps: Steps, source: Source, read: _Content, shown: _Shown, wish: _Wish, form: catalog.Format
+    steps: Steps, source: Source, read: _Content, shown: _Shown, request: _Request, form: catalog.Format
 ) -> Compression:
     """Compress an octree to the requested goal. max_size is the size of the page."""
-    sized = form if wish.goal.max_size is not None else catalog.formats_of("QuantisedOctree")[0]
+    sized = form if request.goal.max_size is not None else catalog.formats_of("QuantisedOctree")[0]
     module = sized.load_packed_module()
 
     def coded_size(quantised: QuantisedOctree) -> int:
         return module.coded_size(shown.page(quantised) if sized is form else quantised)
 
-    options = wish.goal.options | wish.photographs.read(steps, read.held_out)
+    options = request.goal.options | request.photographs.read(steps, read.held_out)
     with source.blamed(steps, "compressing") as tell:
         options |= {"coded_size": coded_size, "field": shown.field, "tell": tell}
         most = _MOST_BYTES - _shells_size(shown, form)
-        if wish.goal == LEAST_LOSS and most > 0:
+        if request.goal == CompressionGoal() and most > 0:
             with suppress(BudgetMissed):  # the octree has too many leaves to fit at any precision
                 return compress_octree(read.scene, max_size=most, **options)
         return compress_octree(read.scene, **options)

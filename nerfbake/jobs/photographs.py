@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, NamedTuple
 
@@ -34,7 +34,8 @@ MOST_EDGE = 1200
 Colour = tuple[float, float, float]
 
 
-class PhotographOptions(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class PhotographOptions:
     """Options for the photographs of a capture: background, masks, and which views are held out.
 
     background  the sRGB colour behind the object, in 0..1; None: white for pictures with alpha, else the colour at the
@@ -61,14 +62,11 @@ class PhotographOptions(NamedTuple):
             raise UsageError(f"`holdout` is {self.holdout}; allowed: 2 or more")
 
 
-ALL = PhotographOptions()
-
-
 class SplitViews(NamedTuple):
-    """trained: the training views. judges: the held-out views, on which the quality is measured."""
+    """training: the training views. held_out: the held-out views, on which the quality is measured."""
 
-    trained: Views
-    judges: Views
+    training: Views
+    held_out: Views
 
 
 def mean_of(views: Sequence[ViewError], name: Literal["psnr", "ssim", "corrected"]) -> float:
@@ -76,23 +74,23 @@ def mean_of(views: Sequence[ViewError], name: Literal["psnr", "ssim", "corrected
     return float(sum(getattr(view, name) for view in views) / len(views))
 
 
-def read_photographs(steps: Steps, source: Source, album: PhotographOptions = ALL) -> SplitViews:
+def read_photographs(steps: Steps, source: Source, photographs: PhotographOptions = PhotographOptions()) -> SplitViews:
     """Read the views of a capture, a file or a folder, and print which cameras were read. Raises NerfbakeError."""
-    split = io.load_split(source.path)
-    trained = split[0] if split else source.path
-    test = album.test
-    if test is None and split is not None and album.holdout is None:
-        test = _test_views(steps, split[1])
+    paths = io.load_split(source.path)
+    training = paths[0] if paths else source.path
+    test = photographs.test
+    if test is None and paths is not None and photographs.holdout is None:
+        test = _test_views(steps, paths[1])
     if test is not None:
-        views = _read(steps, trained, album)
-        known = album._replace(background=views.background, scenery="keep" if views.scenery else "drop")
-        posed = SplitViews(views, _read(steps, test, known))
+        views = _read(steps, training, photographs)
+        known = replace(photographs, background=views.background, scenery="keep" if views.scenery else "drop")
+        split = SplitViews(views, _read(steps, test, known))
     else:
-        posed = _held_out(_read(steps, trained, album), album.holdout or HOLDOUT, trained)
-    if len(posed.trained.pictures) < _LEAST:
-        found = f"are {len(posed.trained.pictures)} to fit to and {len(posed.judges.pictures)} held out"
+        split = _held_out(_read(steps, training, photographs), photographs.holdout or HOLDOUT, training)
+    if len(split.training.pictures) < _LEAST:
+        found = f"are {len(split.training.pictures)} to fit to and {len(split.held_out.pictures)} held out"
         raise InvalidFile(Problem("the views", found, f"{_LEAST} or more to fit to"), source=source.name)
-    return posed
+    return split
 
 
 def _test_views(steps: Steps, path: str) -> str | None:
@@ -106,34 +104,36 @@ def _test_views(steps: Steps, path: str) -> str | None:
     return None
 
 
-def read_photographs_of(steps: Steps, source: Source, album: PhotographOptions, field: RadianceField) -> SplitViews:
+def read_photographs_of(
+    steps: Steps, source: Source, photographs: PhotographOptions, field: RadianceField
+) -> SplitViews:
     """Read the views of a capture that shows a field. If they show scenery, cut the field out of them."""
-    posed = read_photographs(steps, source, album)
-    return cut_out(steps, source, posed, field) if posed.trained.scenery else posed
+    split = read_photographs(steps, source, photographs)
+    return cut_out(steps, source, split, field) if split.training.scenery else split
 
 
-def cut_out(steps: Steps, source: Source, posed: SplitViews, field: RadianceField) -> SplitViews:
+def cut_out(steps: Steps, source: Source, split: SplitViews, field: RadianceField) -> SplitViews:
     """Return photographs with scenery as photographs of a field alone, which is a part of what they show."""
     with source.blamed(steps, "cutting the field out of the photographs"):
-        count = len(posed.trained.pictures)
-        with progress.part(0, count / (count + len(posed.judges.pictures))):
-            trained = cut_out_field(posed.trained, field)
-        with progress.part(count / (count + len(posed.judges.pictures)), 1):
-            return SplitViews(trained, cut_out_field(posed.judges, field))
+        count = len(split.training.pictures)
+        with progress.part(0, count / (count + len(split.held_out.pictures))):
+            training = cut_out_field(split.training, field)
+        with progress.part(count / (count + len(split.held_out.pictures)), 1):
+            return SplitViews(training, cut_out_field(split.held_out, field))
 
 
-def require_alike(steps: Steps, source: Source, field: RadianceField, judges: Views, views: str) -> None:
+def require_alike(steps: Steps, source: Source, field: RadianceField, held_out: Views, views: str) -> None:
     """Raise InvalidScene if the photographs do not show the field, and print how near it comes to them."""
-    some = judges.take(range(0, len(judges.pictures), -(-len(judges.pictures) // _CHECKED)))
+    some = held_out.take(range(0, len(held_out.pictures), -(-len(held_out.pictures) // _CHECKED)))
     with source.blamed(steps, f"comparing with {views}"):
         found = measure_views(field, some)
         psnr, plain = mean_of(found, "psnr"), plain_psnr(some)
         if psnr < plain + _ALIKE:
-            told = (
+            text = (
                 f"has {psnr:.2f} dB on the photographs of {views}, where pictures of a single colour have {plain:.2f}"
             )
             raise InvalidScene(
-                Problem("the field", told, "photographs of the same scene, with poses in its coordinates")
+                Problem("the field", text, "photographs of the same scene, with poses in its coordinates")
             )
     steps.say(f"{source.name}: {psnr:.2f} dB on {some} of {views}")
 
@@ -154,35 +154,35 @@ def render_split(
     """
     framed = scene if framed is None else framed
     around = scatter_cameras(framed, frames=frames, edge=edge, zoom=zoom)
-    judges = orbit_cameras(framed, frames=FRAMES, width=edge, height=edge)
-    share = len(around.cameras) / (len(around.cameras) + len(judges.cameras))
+    held_out = orbit_cameras(framed, frames=FRAMES, width=edge, height=edge)
+    share = len(around.cameras) / (len(around.cameras) + len(held_out.cameras))
     with progress.part(0, share):
-        trained = picture_views(scene, around, samples)
+        training = picture_views(scene, around, samples)
     with progress.part(share, 1):
-        return SplitViews(trained, picture_views(scene, judges, samples))
+        return SplitViews(training, picture_views(scene, held_out, samples))
 
 
 def _held_out(views: Views, every: int, name: str) -> SplitViews:
     """Hold out every N-th view, starting with the first."""
     numbers = range(len(views.pictures))
-    trained = [i for i in numbers if i % every]
-    if len(trained) < _LEAST:
+    training = [i for i in numbers if i % every]
+    if len(training) < _LEAST:
         found = f"are {len(numbers)}, and one of every {every} is held out"
         raise InvalidFile(Problem("the views", found, f"{_LEAST} or more others"), source=name)
-    return SplitViews(views.take(trained), views.take(numbers[::every]))
+    return SplitViews(views.take(training), views.take(numbers[::every]))
 
 
-def _read(steps: Steps, path: str, album: PhotographOptions) -> Views:
+def _read(steps: Steps, path: str, photographs: PhotographOptions) -> Views:
     cameras, files = with_pictures(steps, path, read_cameras(steps, path))
-    masks = None if album.masks is None else _masks(album.masks, cameras)
+    masks = None if photographs.masks is None else _masks(photographs.masks, cameras)
     with steps.phase(f"reading {len(files)} pictures"), io.blame(path):
         cameras.require_covered()
         views = build_views(
             cameras,
             _pictures(steps, path, cameras, files, masks),
             edge=MOST_EDGE,
-            background=album.background,
-            scenery=album.scenery,
+            background=photographs.background,
+            scenery=photographs.scenery,
             rough=masks is not None,
         )
     _say_extreme_alpha(steps, path, views)
@@ -216,7 +216,7 @@ def _pictures(
 
     Prints that build_views() reduces large pictures.
     """
-    told = False
+    noted = False
     for i, (camera, file) in enumerate(zip(cameras.cameras, files, strict=True)):
         size = camera.width, camera.height
         pixels = io.load_photograph(file, size)
@@ -224,11 +224,11 @@ def _pictures(
             mask = io.load_photograph(masks[i], size)
             with io.blame(str(masks[i])):
                 pixels = apply_mask(pixels, mask)
-        if not told and (factor := reduction_factor(pixels, MOST_EDGE)) > 1:
+        if not noted and (factor := reduction_factor(pixels, MOST_EDGE)) > 1:
             height, width = pixels.shape[:2]
             sizes = f"from {width}x{height} to {width // factor}x{height // factor} pixels"
             steps.say(f"{path}: reduces large pictures, such as {sizes}, each the mean of {factor}x{factor}")
-            told = True
+            noted = True
         yield pixels
 
 
@@ -272,11 +272,11 @@ def _find_pictures(path: str, cameras: Cameras, folder: Path) -> tuple[Cameras, 
     """
     if cameras.dialect != "COLMAP":
         return cameras, _files(path, cameras, folder)
-    for posed in (cameras, _outside_of_images(cameras)):
+    for named in (cameras, _outside_of_images(cameras)):
         for place in (folder, *folder.resolve().parents[:_ABOVE]):
-            files = _files(path, posed, place)
+            files = _files(path, named, place)
             if any(file is not None for file in files):
-                return posed, files
+                return named, files
     return cameras, [None] * len(cameras.cameras)
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias, Unpack
+from typing import Any, Literal, TypeAlias, Unpack
 
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, Source, as_source
-from nerfbake.jobs.grids import AS_IT_IS, GridChoice
+from nerfbake.jobs.grids import GridChoice
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
@@ -42,7 +43,8 @@ _PLAIN = {"transmittance_cut": 1e-4, "lookup": "nearest"}  # the defaults of ren
 EDGE = 800  # width and height of the pictures of an orbit, in pixels
 
 
-class ViewSelection(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class ViewSelection:
     """The views to render.
 
     cameras    a capture; None: an orbit around the scene
@@ -84,10 +86,8 @@ class ViewSelection(NamedTuple):
         return views
 
 
-ONE_SHOT = ViewSelection()
-
-
-class PictureOutputs(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class PictureOutputs:
     """Output paths of the pictures and of their depth and alpha files.
 
     out    for one picture a .png, or '-' for stdout; for several a .gif, a .png that shows them all, or a folder
@@ -138,7 +138,8 @@ class PictureOutputs(NamedTuple):
             io.save(beside, plane, force=self.force)
 
 
-class PlacedMesh(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class PlacedMesh:
     """A mesh of opaque triangles in a field's world coordinates.
 
     path  an .obj or .glb
@@ -154,18 +155,18 @@ class PlacedMesh(NamedTuple):
         """Read the meshes and move them into the field's world, which has no origin. Raises NerfbakeError."""
         meshes: Meshes = Source(self.path).read(steps, Meshes)
         if meshes.origin.any():
-            told = f"is far from 0, where float32 has steps of {step_at(meshes.origin):.2g}"
-            steps.say(f"{self.path}: {told}, and is placed in the world of the field")
+            text = f"is far from 0, where float32 has steps of {step_at(meshes.origin):.2g}"
+            steps.say(f"{self.path}: {text}, and is placed in the world of the field")
         return meshes.with_up(self.up).relative_to(no_origin())
 
 
 def render_views(
     source: AnySource,
     pictures: PictureOutputs | str | Path,
-    shots: ViewSelection = ONE_SHOT,
+    shots: ViewSelection = ViewSelection(),
     *,
     lod: int | None = None,
-    choice: GridChoice = AS_IT_IS,
+    choice: GridChoice = GridChoice(),
     mesh: PlacedMesh | None = None,
     steps: Steps = SILENT,
     **options: Unpack[RenderOptions],
@@ -183,11 +184,12 @@ def render_views(
 
     >>> render_views("a.npz", "views", ViewSelection(turntable=2, size=(32, 32)))
     ['views/0000.png', 'views/0001.png']
-    >>> render_views("a.npz", PictureOutputs("a.png", depth="npy"), ViewSelection(size=(32, 32)), lookup="trilinear")
+    >>> pictures, view = PictureOutputs(out="a.png", depth="npy"), ViewSelection(size=(32, 32))
+    >>> render_views("a.npz", pictures, view, lookup="trilinear")
     ['a.png']
     """
     source = as_source(source)
-    pictures = pictures if isinstance(pictures, PictureOutputs) else PictureOutputs(str(pictures))
+    pictures = pictures if isinstance(pictures, PictureOutputs) else PictureOutputs(out=str(pictures))
     shots.require()
     pictures.require(several=shots.several)
     field = _read(steps, source, lod, choice, alone=mesh is None)
@@ -198,11 +200,11 @@ def render_views(
     if together:
         with io.blame(pictures.out):
             views.require_memory()
-        _write_together(steps, pictures, together, list(drawn), views.rays_told)
+        _write_together(steps, pictures, together, list(drawn), views.rays_text)
         return paths
     for path, image in zip(paths, drawn, strict=True):
         pictures.write(path, image, several=shots.several)
-        steps.say(f"{path}: {image}{views.rays_told}")
+        steps.say(f"{path}: {image}{views.rays_text}")
     return paths
 
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Literal
 
 from nerfbake.errors import InvalidScene, Problem, UsageError
-from nerfbake.jobs.budgets import UNLIMITED, Budget
+from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source
-from nerfbake.jobs.grids import AS_IT_IS, GridChoice, tell_unused
-from nerfbake.jobs.splat_voxels import UPRIGHT, USUAL, Part, SplatVoxels, sample_splats
+from nerfbake.jobs.grids import GridChoice, tell_unused
+from nerfbake.jobs.splat_voxels import Part, SplatVoxels, sample_splats
 from nerfbake.jobs.steps import Steps
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.lattice_field import LatticeField
@@ -53,7 +53,7 @@ def upright_without(cameras: str | None) -> SplatVoxels:
 
     Octrees of splats keep their world by default, and volumes are upright.
     """
-    return UPRIGHT if cameras is None else USUAL
+    return SplatVoxels(up="stated") if cameras is None else SplatVoxels()
 
 
 class Reading:
@@ -75,8 +75,8 @@ class Reading:
         steps: Steps,
         source: Source,
         *kinds: type,
-        choice: GridChoice = AS_IT_IS,
-        splats: SplatVoxels = USUAL,
+        choice: GridChoice = GridChoice(),
+        splats: SplatVoxels = SplatVoxels(),
         part: Part = "inner",
     ) -> None:
         """Read a scene of one of these types; by default of one that becomes an octree. Raises NerfbakeError.
@@ -92,7 +92,7 @@ class Reading:
         self._held_out: HeldOut | None = None
 
     def require(
-        self, budget: Budget = UNLIMITED, *, taken: dict[str, tuple[type, ...]] = TAKEN, **options: object
+        self, budget: Budget = Budget(), *, taken: dict[str, tuple[type, ...]] = TAKEN, **options: object
     ) -> None:
         """Raise UsageError for options that have no effect on what was read. Call it before octree() and field().
 
@@ -111,10 +111,10 @@ class Reading:
         for name in (name for name in taken if name in given):
             if not isinstance(self.scene, taken[name]):
                 option, *more = name.split(maxsplit=1)
-                told = " ".join([f"`{option}`", *more])
+                text = " ".join([f"`{option}`", *more])
                 *others, last = (_NOUNS[kind] for kind in taken[name])
                 allowed = f"{', '.join(others)} or {last}" if others else last
-                raise UsageError(f"{told} has no effect on {_NOUNS[type(self.scene)]}; allowed: with {allowed}")
+                raise UsageError(f"{text} has no effect on {_NOUNS[type(self.scene)]}; allowed: with {allowed}")
 
     @property
     def held_out(self) -> HeldOut | None:
@@ -206,8 +206,8 @@ class Reading:
             finest = tree.resolution
         size = min(finest, MAX_SIZE) if resolution is None else resolution
         times = 1 << (tree.shells - 1)
-        inner = f"{_told(size, times)} of them in the inner cube of {finest // times}^3"
-        self._steps.say(f"{self._source.name}: uses all of the scene: {_told(size, 1)} voxels, {inner}")
+        inner = f"{_size_text(size, times)} of them in the inner cube of {finest // times}^3"
+        self._steps.say(f"{self._source.name}: uses all of the scene: {_size_text(size, 1)} voxels, {inner}")
         return size
 
     def _octree_of_volume(self, volume: Volume) -> SparseVoxelOctree:
@@ -222,7 +222,7 @@ class Reading:
             return build_octree_from_density(volume)
 
 
-def _told(size: Size, times: int) -> str:
+def _size_text(size: Size, times: int) -> str:
     edges = (size,) * 3 if isinstance(size, int) else size
     return "x".join(f"{edge / times:g}" for edge in edges)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from nerfbake import io, progress
@@ -9,7 +10,7 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock
-from nerfbake.jobs.photographs import ALL, PhotographOptions, SplitViews, mean_of, read_photographs, render_split
+from nerfbake.jobs.photographs import PhotographOptions, SplitViews, mean_of, read_photographs, render_split
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.arrays import Points
@@ -24,35 +25,37 @@ from nerfbake.stages.views_to_error import ViewError, measure_views
 _ALL = 0.75  # of the width of a scene with scenery; its inner cube has half of it or less
 
 
-class RefitTarget(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class RefitReference:
     """What an octree is fitted to: a finer scene or photographs.
 
-    like    a PlenOctree, an octree, a volume, a lattice or splats, rendered from all sides
-    frames  number of these pictures; edge: their width and height in pixels
-    views   a capture; album: options for its photographs
+    like         a PlenOctree, an octree, a volume, a lattice or splats, rendered from all sides
+    frames       number of these pictures; edge: their width and height in pixels
+    views        a capture
+    photographs  options for the photographs of the capture
     """
 
     like: str | None = None
     views: str | None = None
     frames: int = 100
     edge: int = EDGE
-    album: PhotographOptions = ALL
+    photographs: PhotographOptions = PhotographOptions()
 
     def require(self) -> None:
         """Raise UsageError unless exactly one of like and views is given. Call it before doing any work."""
         if (self.like is None) == (self.views is None):
             given = "both are given" if self.like else "neither is given"
             raise UsageError(f"`like` and `views`: {given}; allowed: one of them, which IN is fitted to")
-        self.album.require()
+        self.photographs.require()
 
-    def posed(self, steps: Steps, samples: int, box: Points) -> SplitViews:
+    def split(self, steps: Steps, samples: int, box: Points) -> SplitViews:
         """Return the training views and the held-out views.
 
         samples: rays along each edge of a pixel. box: the octree's; if it is not as wide as a scene with scenery, the
         pictures show the inner cube.
         """
         if self.views is not None:
-            return read_photographs(steps, Source(self.views), self.album._replace(scenery="drop"))
+            return read_photographs(steps, Source(self.views), replace(self.photographs, scenery="drop"))
         bigger = Source(str(self.like))
         reading = Reading(steps, bigger)
         if isinstance(reading.scene, N3Tree) and ((box[1] - box[0]) * reading.scene.invradius < _ALL).all():
@@ -62,7 +65,8 @@ class RefitTarget(NamedTuple):
             return render_split(shown, frames=self.frames, edge=self.edge, samples=samples)
 
 
-class RefitOptions(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class RefitOptions:
     """Options of a refit.
 
     epochs   number of passes over the pictures
@@ -73,9 +77,6 @@ class RefitOptions(NamedTuple):
     epochs: int = 2
     samples: int = 2
     seed: int = 0
-
-
-TWICE = RefitOptions()
 
 
 class RefitResult(NamedTuple):
@@ -102,43 +103,43 @@ class RefitResult(NamedTuple):
 def refit_file(
     source: AnySource,
     target: AnyTarget,
-    model: RefitTarget,
+    reference: RefitReference,
     *,
-    again: RefitOptions = TWICE,
+    options: RefitOptions = RefitOptions(),
     no_child: int | None = None,
     steps: Steps = SILENT,
 ) -> RefitResult:
     """Fit the leaf values of an octree to a finer scene or to photographs. This is `nerfbake refit`.
 
-    Reads `source`, which becomes an octree as in bake_octree(), and the files of `model`. Writes the octree `target`,
-    which has the same nodes. Returns the quality before and after. Raises NerfbakeError.
+    Reads `source`, which becomes an octree as in bake_octree(), and the files of `reference`. Writes the octree
+    `target`, which has the same nodes. Returns the quality before and after. Raises NerfbakeError.
 
     no_child  child index that means 'no child' in the file, 0 or -1; None: the default of the format
 
-    >>> refitted = refit_file("octree.svo.npz", "refitted.svo.npz", RefitTarget(like="a.npz", frames=8, edge=64))
+    >>> refitted = refit_file("octree.svo.npz", "refitted.svo.npz", RefitReference(like="a.npz", frames=8, edge=64))
     >>> refitted.psnr[1] > 20
     True
     """
     source, target = as_source(source), as_target(target)
-    model.require()
+    reference.require()
     _require(target, no_child)
     octree = Reading(steps, source).octree()
     with source.blamed(steps, "preparing"):
         cells = build_bricks(octree)
-    posed = model.posed(steps, again.samples, cells.box)
-    before = _measure(steps, source, octree, posed, again)
-    field, worked = _fit(steps, source, cells, posed, again)
+    split = reference.split(steps, options.samples, cells.box)
+    before = _measure(steps, source, octree, split, options)
+    field, worked = _fit(steps, source, cells, split, options)
     with source.blamed(steps, "storing the values"):
         refitted = fill_octree(octree, field)
     with target.writing(steps, refitted, no_child=no_child) as written:
         del octree, cells, field, refitted
         with steps.phase(f"reading {target.name}"), read_back_as(target.path):
             loaded: io.Loaded[Any] = io.load_with_format(written.path)
-        after = _measure(steps, Source(target.path), loaded.scene, posed, again)
+        after = _measure(steps, Source(target.path), loaded.scene, split, options)
     found = RefitResult(target.path, str(loaded.scene), loaded.size, before, after, worked)
     was, now = found.psnr
     io.report_result(psnr=now)
-    steps.say(f"{target.name}: {now:.2f} dB on {posed.judges}, where {source.name} has {was:.2f}")
+    steps.say(f"{target.name}: {now:.2f} dB on {split.held_out}, where {source.name} has {was:.2f}")
     return found
 
 
@@ -149,19 +150,19 @@ def _require(target: Target, no_child: int | None) -> None:
 
 
 def _fit(
-    steps: Steps, source: Source, cells: BrickField, posed: SplitViews, again: RefitOptions
+    steps: Steps, source: Source, cells: BrickField, split: SplitViews, options: RefitOptions
 ) -> tuple[BrickField, float]:
     """Fit the values of the cells to the pictures. Return the new field and the CPU seconds."""
     from nerfbake.stages.brick_field_to_brick_field import refit_bricks
 
-    clock, count = Clock(), again.epochs * len(posed.trained.pictures)
+    clock, count = Clock(), options.epochs * len(split.training.pictures)
     with steps.phase("refitting"), io.blame(source.name):
-        for done, now in enumerate(refit_bricks(cells, posed.trained, **again._asdict())):
-            progress.report(done / count, f"epoch {now.epoch + 1} of {again.epochs}")
-        return now.field(), clock.worked
+        for done, state in enumerate(refit_bricks(cells, split.training, **vars(options))):
+            progress.report(done / count, f"epoch {state.epoch + 1} of {options.epochs}")
+        return state.field(), clock.worked
 
 
-def _measure(steps: Steps, file: Source, scene: Any, posed: SplitViews, again: RefitOptions) -> tuple[ViewError, ...]:
+def _measure(steps: Steps, file: Source, scene: Any, split: SplitViews, options: RefitOptions) -> tuple[ViewError, ...]:
     """Measure the pictures of a scene on the held-out views."""
-    with file.blamed(steps, f"measuring {file.name} on {len(posed.judges.pictures)} pictures"):
-        return measure_views(build_field(scene), posed.judges, samples=again.samples)
+    with file.blamed(steps, f"measuring {file.name} on {len(split.held_out.pictures)} pictures"):
+        return measure_views(build_field(scene), split.held_out, samples=options.samples)

@@ -6,7 +6,8 @@ readings.py uses sample_splats() for all jobs.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from nerfbake import memory, progress
 from nerfbake.errors import MemoryLimit, UsageError
@@ -34,7 +35,8 @@ _JUDGES = 10  # number of other pictures, on which the loss is measured
 Part = Literal["inner", "all"] | tuple[float, ...]
 
 
-class SplatVoxels(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class SplatVoxels:
     """How splats become voxels.
 
     opacity_min  splats that are thinner are left out
@@ -54,17 +56,14 @@ class SplatVoxels(NamedTuple):
     def require(self, budget: Budget, splats: Splats) -> None:
         """Raise UsageError for cameras in the world that the splats are turned away from."""
         if (up := self.up_of(splats)) not in (None, "z") and budget.cameras is not None:
-            told = f"splats are turned until {up} is z, and `cameras` are not"
-            raise UsageError(f"{told}; allowed: z as the up axis of splats, which keeps their world")
+            text = f"splats are turned until {up} is z, and `cameras` are not"
+            raise UsageError(f"{text}; allowed: z as the up axis of splats, which keeps their world")
 
     @property
     def given(self) -> set[str]:
         """The options that are not the default; the axis that a file states is one, too."""
-        plain = self._replace(up=None) if self.up == "stated" else self
-        return {name for name, value in plain._asdict().items() if value != self._field_defaults[name]}
-
-
-USUAL, UPRIGHT = SplatVoxels(), SplatVoxels(up="stated")
+        plain, default = replace(self, up=None) if self.up == "stated" else self, vars(SplatVoxels())
+        return {name for name, value in vars(plain).items() if value != default[name]}
 
 
 def choose_splats(
@@ -99,7 +98,7 @@ def sample_splats(
     source: Source,
     splats: Splats,
     *,
-    options: SplatVoxels = USUAL,
+    options: SplatVoxels = SplatVoxels(),
     part: Part = "inner",
     resolution: int | tuple[int, int, int] | None = None,
     basis: str | None = None,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from nerfbake import io, progress
@@ -11,7 +13,6 @@ from nerfbake.jobs.budgets import Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial
 from nerfbake.jobs.photographs import (
-    ALL,
     PhotographOptions,
     SplitViews,
     mean_of,
@@ -33,46 +34,42 @@ PICTURES = 100  # rendered pictures that are fitted to
 _ZOOM = 1.13  # the object fills the pictures about as in photographs
 
 
-class SplatsModel(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class SplatsViews:
     """What the splats are fitted to.
 
-    views   a capture; None: pictures of IN, from all sides
-    album   options for its photographs
-    frames  number of rendered pictures; edge: their width and height in pixels
+    views        a capture; None: pictures of IN, from all sides
+    photographs  options for its photographs
+    frames       number of rendered pictures; edge: their width and height in pixels
     """
 
     views: str | None = None
-    album: PhotographOptions = ALL
+    photographs: PhotographOptions = PhotographOptions()
     frames: int = PICTURES
     edge: int = EDGE
 
-    def posed(self, steps: Steps, source: Source, field: RadianceField, splats: Splats | None = None) -> SplitViews:
+    def split(self, steps: Steps, source: Source, field: RadianceField, splats: Splats | None = None) -> SplitViews:
         """Return the training views and the held-out views. Raises NerfbakeError if they show something else.
 
         splats: those that the field was made of, which are sharper than its voxels; None: it was made of other things.
         """
         if self.views is not None:
-            posed = read_photographs_of(steps, Source(self.views), self.album, field)
-            require_alike(steps, source, field, posed.judges, self.views)
-            return posed
+            split = read_photographs_of(steps, Source(self.views), self.photographs, field)
+            require_alike(steps, source, field, split.held_out, self.views)
+            return split
         with source.blamed(steps, f"rendering pictures of {source.name}"):
             framed = without_strays(field)
             shown = field if splats is None else splats
             return render_split(shown, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM)
 
 
-FROM_FIELD = SplatsModel()
-
-
-class SplatsOptions(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class SplatsOptions:
     """splats: the largest number of splats. epochs: passes over the pictures. seed: of the order of the pictures."""
 
     splats: int = COUNT
     epochs: int = 4
     seed: int = 0
-
-
-USUAL = SplatsOptions()
 
 
 class SplatsResult(NamedTuple):
@@ -105,29 +102,29 @@ class SplatsResult(NamedTuple):
 def bake_splats(
     source: AnySource,
     target: AnyTarget,
-    model: SplatsModel = FROM_FIELD,
+    pictures: SplatsViews = SplatsViews(),
     *,
-    recipe: SplatsOptions = USUAL,
+    options: SplatsOptions = SplatsOptions(),
     min_psnr: float | None = None,
     steps: Steps = SILENT,
     report: Callable[[SplatsResult], None] | None = None,
 ) -> SplatsResult:
     """Turn a field into Gaussian splats, fit them to pictures, and return the quality of the file.
 
-    This is `nerfbake splats`. Reads `source`, any scene with a field, and the photographs of `model`. Writes `target`,
-    or `target`.rejected if it is below `min_psnr`, in dB on the held-out views. Ctrl-C writes the current state as
-    `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept under this name.
-    Raises NerfbakeError.
+    This is `nerfbake splats`. Reads `source`, any scene with a field, and the photographs of `pictures`. Writes
+    `target`, or `target`.rejected if it is below `min_psnr`, in dB on the held-out views. Ctrl-C writes the current
+    state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept under this
+    name. Raises NerfbakeError.
 
     report  is called with the result, also if it is below `min_psnr`
 
-    >>> recipe = SplatsOptions(splats=400, epochs=4)
-    >>> baked = bake_splats("a.npz", "a.ply", SplatsModel(frames=6, edge=48), recipe=recipe)
+    >>> options = SplatsOptions(splats=400, epochs=4)
+    >>> baked = bake_splats("a.npz", "a.ply", SplatsViews(frames=6, edge=48), options=options)
     >>> baked.splats <= 400, baked.psnr > 15
     (True, True)
     """
     source, target = as_source(source), as_target(target)
-    model.album.require()
+    pictures.photographs.require()
     _require(target, min_psnr)
     reading = Reading(steps, source)
     reading.use_inner_cube()
@@ -135,46 +132,48 @@ def bake_splats(
     own = reading.shown if isinstance(reading.shown, Splats) else None
     del reading
     clock = Clock()
-    posed = model.posed(steps, source, field, own)
+    split = pictures.split(steps, source, field, own)
     del own
-    steps.say(f"{source.name}: fits splats to {posed.trained}, measures on {posed.judges}")
-    with interrupts() as asked:
+    steps.say(f"{source.name}: fits splats to {split.training}, measures on {split.held_out}")
+    with interrupts() as interrupted:
         with source.blamed(steps, "choosing leaves"):
-            splats = build_splats(field, count=recipe.splats, cameras=posed.trained.cameras if model.views else None)
+            splats = build_splats(
+                field, count=options.splats, cameras=split.training.cameras if pictures.views else None
+            )
         del field
-        splats = fitted_splats(steps, source, splats, posed.trained, recipe, asked)
-        if asked:
+        splats = fitted_splats(steps, source, splats, split.training, options, interrupted)
+        if interrupted.is_set():
             write_partial(steps, target, "Splats", splats)
     worked, passed = clock.worked, clock.passed
-    told = reporting(lambda: report(found) if report is not None else None)
-    with told, target.writing(steps, splats) as written:
+    reported = reporting(lambda: report(found) if report is not None else None)
+    with reported, target.writing(steps, splats) as written:
         count = splats.n
         del splats
         with kept_as_partial(steps, target, written):
-            views, content = _measured(steps, target, written, posed.judges)
+            views, content = _measured(steps, target, written, split.held_out)
         found = SplatsResult(target.path, content, written.size, count, views, worked, passed)
         io.report_result(psnr=found.psnr)
         if min_psnr is not None and not found.psnr >= min_psnr:
             raise BudgetMissed(
-                Problem("the splats", f"have {found.psnr:.2f} dB on {posed.judges}", f"{min_psnr:g} dB or more")
+                Problem("the splats", f"have {found.psnr:.2f} dB on {split.held_out}", f"{min_psnr:g} dB or more")
             )
-        seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {posed.judges}"
+        seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {split.held_out}"
         steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
     return found
 
 
 def fitted_splats(
-    steps: Steps, source: Source, splats: Splats, views: Views, recipe: SplatsOptions, asked: list[int]
+    steps: Steps, source: Source, splats: Splats, views: Views, options: SplatsOptions, interrupted: threading.Event
 ) -> Splats:
-    """Fit splats to views until the end, or until Ctrl-C adds an item to `asked`."""
+    """Fit splats to views until the end, or until Ctrl-C sets `interrupted`."""
     from nerfbake.stages.views_to_splats import fit_splats
 
-    total = recipe.epochs * len(views.pictures)
+    total = options.epochs * len(views.pictures)
     with source.blamed(steps, "fitting splats"):
-        for state in fit_splats(splats, views, epochs=recipe.epochs, seed=recipe.seed):
+        for state in fit_splats(splats, views, epochs=options.epochs, seed=options.seed):
             done = state.epoch * len(views.pictures) + state.view
-            progress.report(done / total, f"epoch {min(state.epoch + 1, recipe.epochs)} of {recipe.epochs}")
-            if asked:
+            progress.report(done / total, f"epoch {min(state.epoch + 1, options.epochs)} of {options.epochs}")
+            if interrupted.is_set():
                 break
         return state.splats()
 
@@ -182,14 +181,14 @@ def fitted_splats(
 def _require(target: Target, min_psnr: float | None) -> None:
     target.require_measurable("splats measures the file that it wrote")
     target.require("Splats")
-    Budget(min_psnr).require(target)
+    Budget(min_psnr=min_psnr).require(target)
 
 
 def _measured(
-    steps: Steps, target: Target, written: io.PendingFile, judges: Views
+    steps: Steps, target: Target, written: io.PendingFile, held_out: Views
 ) -> tuple[tuple[ViewError, ...], str]:
     """Read the file that was written, and measure it on the held-out views."""
-    with Source(target.path).blamed(steps, f"measuring on {len(judges.pictures)} pictures"):
+    with Source(target.path).blamed(steps, f"measuring on {len(held_out.pictures)} pictures"):
         with read_back_as(target.path):
             loaded = io.load(written.path, Splats)
-        return measure_views(loaded, judges), str(loaded)
+        return measure_views(loaded, held_out), str(loaded)

@@ -10,7 +10,7 @@ from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.mesh import Meshes
-from nerfbake.scene.origin import no_origin, told_origin
+from nerfbake.scene.origin import no_origin, origin_text
 from nerfbake.scene.page import COVER
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
@@ -87,7 +87,7 @@ def in_one_world(steps: Steps, scenes: Sequence[tuple[str, Any]]) -> list[Any]:
     for name, scene in scenes:
         kept = not origin.any() or has_origin(scene, origin)
         if not kept:
-            steps.say(f"{name}: has no origin; it is taken as relative to {told_origin(origin)}")
+            steps.say(f"{name}: has no origin; it is taken as relative to {origin_text(origin)}")
         moved.append(scene.relative_to(origin) if kept and isinstance(scene, Splats | Meshes) else scene)
     return moved
 
@@ -115,18 +115,18 @@ def page_views(
     steps: Steps,
     scene: Any,
     cameras: str | None,
-    posed: Cameras | None = None,
+    held_out: Cameras | None = None,
     *,
     name: str,
     origin: Floats | None = None,
 ) -> tuple[Cameras, Camera]:
     """Return the cameras of a page, from views_of(), and the camera of its cover picture.
 
-    posed: the cameras without a capture; None: an orbit. The cover is square: it shows what the first camera sees along
-    its shorter edge. origin: as in views_of().
+    held_out: the cameras without a capture; None: an orbit. The cover is square: it shows what the first camera sees
+    along its shorter edge. origin: as in views_of().
     """
-    if cameras is None and posed is not None:
-        views = posed
+    if cameras is None and held_out is not None:
+        views = held_out
     else:
         views = views_of(steps, scene, cameras, name=name, frames=1, edge=COVER, origin=origin)
     first = views.cameras[0]

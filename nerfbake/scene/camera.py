@@ -337,9 +337,9 @@ class Cameras(Scene):
         return plural(len(self.cameras), "camera") + (f" ({self.dialect})" if self.dialect else "")
 
     @property
-    def rays_told(self) -> str:
+    def rays_text(self) -> str:
         """Suffix for messages about pictures with more than one ray per pixel, else ''."""
-        return rays_told(self.samples)
+        return rays_text(self.samples)
 
     def chosen(self, *, size: tuple[int, int] | None = None, samples: int | None = None) -> Cameras:
         """The same cameras with another picture size (W, H) and another number of samples; None: unchanged."""
@@ -408,9 +408,9 @@ class Cameras(Scene):
         scales = [camera.scale for camera in self.cameras if camera.scale != 1]
         notes = []
         if scales:
-            told = " to ".join(dict.fromkeys(f"{scale:.4g}" for scale in (min(scales), max(scales))))
+            factors = " to ".join(dict.fromkeys(f"{scale:.4g}" for scale in (min(scales), max(scales))))
             which = f"{len(scales):,} of {plural(len(self.cameras), 'pose')}"
-            notes = [f"the axes of {which} are a rotation times {told}, which is divided out"]
+            notes = [f"the axes of {which} are a rotation times {factors}, which is divided out"]
         return *notes, *(f"warning: {problem}" for problem in self._pose_problems(self._skewed()))
 
     def _skewed(self) -> npt.NDArray[np.bool_]:
@@ -446,7 +446,7 @@ def require_samples(samples: int) -> int:
     return int(samples)
 
 
-def rays_told(samples: int) -> str:
+def rays_text(samples: int) -> str:
     """Suffix for messages about pictures with more than one ray per pixel, starting with a comma, else ''."""
     return "" if samples == 1 else f", {samples}x{samples} rays a pixel"
 

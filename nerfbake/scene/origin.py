@@ -33,7 +33,7 @@ def require_origin(origin: Floats) -> None:
     if origin.shape != (3,) or origin.dtype != np.float64:
         raise InvalidScene(Problem("origin", f"has shape {origin.shape}, dtype {origin.dtype}", "(3,) float64"))
     if not (np.abs(origin) <= MAX_WORLD).all():
-        raise InvalidScene(Problem("origin", f"is {told_origin(origin)}", f"finite numbers, up to {MAX_WORLD:g}"))
+        raise InvalidScene(Problem("origin", f"is {origin_text(origin)}", f"finite numbers, up to {MAX_WORLD:g}"))
 
 
 def choose_origin(parts: Sequence[npt.NDArray[Any]]) -> Floats:
@@ -74,10 +74,10 @@ def step_at(origin: Floats) -> float:
     return float(np.spacing(np.float32(np.abs(origin).max())))
 
 
-def told_origin(origin: Floats) -> str:
+def origin_text(origin: Floats) -> str:
     return " ".join(f"{value:.15g}" for value in origin.tolist())
 
 
 def lost_origin(origin: Floats, keeper: str) -> str:
     """The note for an output that has no place for the origin. keeper: what cannot keep it."""
-    return f"positions are relative to the origin {told_origin(origin)}, which {keeper} cannot keep"
+    return f"positions are relative to the origin {origin_text(origin)}, which {keeper} cannot keep"

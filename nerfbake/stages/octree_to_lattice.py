@@ -93,10 +93,10 @@ def _code(coefficients: Floats) -> ColourCode:
     mean = product(ones, coefficients)[0]
     apart = coefficients - mean
     axes = np.zeros((len(mean), FEATURES))
-    told = min(FEATURES, len(mean))
-    axes[:, :told] = principal_axes(apart, told)
+    used = min(FEATURES, len(mean))
+    axes[:, :used] = principal_axes(apart, used)
     square = product(ones, product(apart, axes) ** 2)[0]
-    square[told:] = 0
+    square[used:] = 0
     axes *= np.where(square > 0, 1 / np.sqrt(np.where(square > 0, square, 1)), 0)
     axes[:, square == 0] = axes[:, :1]
     return ColourCode(mean, axes)

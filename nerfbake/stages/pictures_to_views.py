@@ -126,12 +126,12 @@ def apply_mask(pixels: Pixels, mask: Pixels) -> Pixels:
     return memory.kept(np.concatenate([pixels[..., :3], alpha[..., None]], axis=2))
 
 
-def _plain_background(edges: Sequence[Pixels], told: Colour | None) -> Colour:
-    """Return `told`, or else the median colour along the pictures' edges.
+def _plain_background(edges: Sequence[Pixels], given: Colour | None) -> Colour:
+    """Return `given`, or else the median colour along the pictures' edges.
 
     Raises InvalidScene if too few pixels of the edges have this colour.
     """
-    colour, alike = _edge_colour(edges, told)
+    colour, alike = _edge_colour(edges, given)
     if alike < PLAIN_SHARE:
         words = ",".join(str(round(255 * value)) for value in colour)
         found = f"show scenery behind the object: only {int(100 * alike)} % of their edges are near {words}"
@@ -155,15 +155,15 @@ def _mean(pictures: Sequence[Pixels]) -> Colour:
     return red, green, blue
 
 
-def _edge_colour(edges: Sequence[Pixels], told: Colour | None) -> tuple[Colour, float]:
-    """Return `told`, or else the median colour along the pictures' edges, and the share of their pixels near it."""
+def _edge_colour(edges: Sequence[Pixels], given: Colour | None) -> tuple[Colour, float]:
+    """Return `given`, or else the median colour along the pictures' edges, and the share of their pixels near it."""
     counts = np.zeros((3, 256), np.int64)
     for edge in edges:
         for channel in range(3):
             counts[channel] += np.bincount(edge[:, channel], minlength=256)
     total = int(counts[0].sum())
     median = [int(np.argmax(2 * np.cumsum(row) >= total)) for row in counts]
-    colour = told or (median[0] / 255, median[1] / 255, median[2] / 255)
+    colour = given or (median[0] / 255, median[1] / 255, median[2] / 255)
     alike = sum(int(near_colour(edge, colour).sum()) for edge in edges)
     return colour, alike / total
 

@@ -47,12 +47,12 @@ def summary_of_atlas(baked: BakedAtlas) -> dict[str, Any]:
     parts = zip(baked.atlases, baked.meshes, strict=True)
     return {
         "kind": "octahedral atlas",
-        "bake": _told(baked.facts.get("bake")),
+        "bake": _plain_facts(baked.facts.get("bake")),
         "cascades": {
             str(c): {
                 **_of_atlas(atlas),
                 **_of_mesh(mesh),
-                "errors": _told(errors[c] if isinstance(errors, list) and c < len(errors) else None),
+                "errors": _plain_facts(errors[c] if isinstance(errors, list) and c < len(errors) else None),
             }
             for c, (atlas, mesh) in enumerate(parts)
         },
@@ -87,7 +87,7 @@ def _of_mesh(mesh: Mesh | None) -> dict[str, Any]:
     return {"triangles": None if mesh is None else len(mesh.faces), "diffuse": diffuse}
 
 
-def _told(facts: Any) -> dict[str, Any] | None:
+def _plain_facts(facts: Any) -> dict[str, Any] | None:
     """Return the numbers and short texts of an object from a file, which may contain anything."""
     if not isinstance(facts, Mapping):
         return None

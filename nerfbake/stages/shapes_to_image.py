@@ -105,7 +105,7 @@ def render_room(camera: Camera, *, seed: int = 0, samples: int = 1) -> Image:
     """
     place = camera.pose[:3, 3]
     if not ((ROOM[0] < place) & (place < ROOM[1])).all():
-        found, (low, high) = _told(place), map(_told, ROOM)
+        found, (low, high) = _point_text(place), map(_point_text, ROOM)
         raise InvalidScene(Problem(f"camera {camera.name}".strip(), f"is at {found}", f"between {low} and {high}"))
     random = np.random.default_rng(seed)
     colour = random.uniform(0.3, 0.75, (_SURFACES, 3))
@@ -113,7 +113,7 @@ def render_room(camera: Camera, *, seed: int = 0, samples: int = 1) -> Image:
     return supersampled(lambda part: _traced(part, paint), camera, samples)
 
 
-def _told(point: Floats) -> str:
+def _point_text(point: Floats) -> str:
     return ", ".join(f"{value:g}" for value in point)
 
 

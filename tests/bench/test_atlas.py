@@ -20,7 +20,7 @@ from nerfbake.kernels.maths.elementary import fibonacci
 def test_a_report_of_two_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = nerfbake.sample_stage1(resolution=32)
     io.save_folder(tmp_path / "s", scene)
-    monkeypatch.setattr(atlas, "RECIPES", [AtlasMethod("kmeans", 16), AtlasMethod("kmeans", 10**6)])
+    monkeypatch.setattr(atlas, "VARIANTS", [AtlasMethod("kmeans", 16), AtlasMethod("kmeans", 10**6)])
     monkeypatch.setattr(atlas, "CLUSTERINGS", [("nerfbake", 8), ("KMeans", 8)])
     report = atlas.compare_atlases(str(tmp_path / "s"), rounds=1, progress=lambda text: nullcontext())
     good, bad = (dict(zip(atlas.COLUMNS, row, strict=True)) for row in report.tables[0].rows)

@@ -21,8 +21,8 @@ def test_the_report_has_every_table(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(fit, "EDGE", 8)
     monkeypatch.setattr("nerfbake.bench.access.rays.RAYS_EDGE", 8)
     source = str(write_scene(tmp_path / "capture", frames=8))
-    views = read_photographs(SILENT, Source(source)).judges
-    report = fit.compare_fits(source, views, courses=("fast",), resolution=32, rounds=1, progress=quiet)
+    views = read_photographs(SILENT, Source(source)).held_out
+    report = fit.compare_fits(source, views, schedules=("fast",), resolution=32, rounds=1, progress=quiet)
     fits, curve, paper, table4, merging, rays = report.tables
     (row,) = (dict(zip(fit.FITS, row, strict=True)) for row in fits.rows)
     assert row["fit"] == "fast"

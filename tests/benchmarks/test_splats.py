@@ -10,7 +10,7 @@ from benchmarks import splats as benchmark
 from benchmarks.aims import SPLAT_FILES, SPLAT_OCTREES
 from benchmarks.scenes import Scenes
 from nerfbake import sample_n3tree, save
-from nerfbake.jobs import SplatsModel, SplatsOptions, splat_voxels
+from nerfbake.jobs import SplatsOptions, SplatsViews, splat_voxels
 from tests.support.photographs import write_scene
 from tests.support.splats import ball_of_splats
 
@@ -33,8 +33,8 @@ def test_every_row_has_its_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     chair.parent.mkdir(parents=True)
     save(chair, sample_n3tree(resolution=16, basis="SH1"))
     write_scene(Scenes(tmp_path, tmp_path).capture, frames=8, edge=16)
-    monkeypatch.setattr(benchmark, "SPLATS", SplatsOptions(300, epochs=1))
-    monkeypatch.setattr(benchmark, "SplatsModel", lambda views: SplatsModel(views, frames=6, edge=32))
+    monkeypatch.setattr(benchmark, "SPLATS", SplatsOptions(splats=300, epochs=1))
+    monkeypatch.setattr(benchmark, "SplatsViews", lambda views: SplatsViews(views=views, frames=6, edge=32))
     found = benchmark.reports(Scenes(tmp_path, tmp_path), rounds=1)["splats"]
     assert isinstance(found, list)
     files, voxels, baked, aims = found[0].tables

@@ -330,7 +330,7 @@ def test_atlas(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
         folders.append(environment["NUMBA_CACHE_DIR"])
         return measure_process(*command)
 
-    monkeypatch.setattr("nerfbake.bench.atlas.RECIPES", [AtlasMethod("kmeans", 4), AtlasMethod("grid", 2)])
+    monkeypatch.setattr("nerfbake.bench.atlas.VARIANTS", [AtlasMethod("kmeans", 4), AtlasMethod("grid", 2)])
     monkeypatch.setattr("nerfbake.bench.atlas.CLUSTERINGS", [("nerfbake", 4), ("KMeans", 4)])
     monkeypatch.setattr(atlas, "WARM", (4,))
     monkeypatch.setattr(atlas, "COLD", 4)

@@ -29,8 +29,8 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         lambda out: jobs.fit_file(
             "photographs",
             f"{out}.svo.pb",
-            recipe=jobs.FitOptions(preset="fast", resolution=32, basis="SH1"),
-            album=jobs.PhotographOptions(holdout=5),
+            options=jobs.FitOptions(preset="fast", resolution=32, basis="SH1"),
+            photographs=jobs.PhotographOptions(holdout=5),
         ),
     ),
     "svo": (
@@ -48,7 +48,7 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     "splats": (
         ["a.npz", "OUT.ply", "--count", "200", "--epochs", "1", "--frames", "6", "--edge", "32"],
         lambda out: jobs.bake_splats(
-            "a.npz", f"{out}.ply", jobs.SplatsModel(frames=6, edge=32), recipe=jobs.SplatsOptions(splats=200, epochs=1)
+            "a.npz", f"{out}.ply", jobs.SplatsViews(frames=6, edge=32), options=jobs.SplatsOptions(splats=200, epochs=1)
         ),
     ),
     "hull": (
@@ -62,7 +62,10 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     "render": (
         ["a.npz", "--out", "OUT", "--cameras", "c.json", "--all", "--depth", "npy", "--lookup", "trilinear"],
         lambda out: jobs.render_views(
-            "a.npz", PictureOutputs(out, depth="npy"), ViewSelection("c.json", every=True), lookup="trilinear"
+            "a.npz",
+            PictureOutputs(out=out, depth="npy"),
+            ViewSelection(cameras="c.json", every=True),
+            lookup="trilinear",
         ),
     ),
     "vdb": (
@@ -101,14 +104,14 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         lambda out: jobs.bake_mesh(
             "a.npz",
             f"{out}.glb",
-            model=jobs.MeshViews(frames=8, edge=32),
-            recipe=jobs.MeshOptions((500, 100), 64),
-            file=jobs.MeshFile("z", lit=True, image="png"),
+            pictures=jobs.MeshViews(frames=8, edge=32),
+            options=jobs.MeshOptions(triangles=(500, 100), texture=64),
+            file=jobs.MeshFile(up="z", lit=True, image="png"),
         ),
     ),
     "refit": (
         ["a.svo.pb", "OUT.svo.pb", "--like", "a.npz", "--frames", "4", "--edge", "24"],
-        lambda out: jobs.refit_file("a.svo.pb", f"{out}.svo.pb", jobs.RefitTarget(like="a.npz", frames=4, edge=24)),
+        lambda out: jobs.refit_file("a.svo.pb", f"{out}.svo.pb", jobs.RefitReference(like="a.npz", frames=4, edge=24)),
     ),
     "batch": (
         ["svo {in} OUT.svo.pb", "a.npz", "--state", "state"],

@@ -181,7 +181,7 @@ def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         yield "go on", lambda: next(nerfbake.fit_field(views, schedule=scene.schedule, start=scene), None)
         return
     if isinstance(scene, Batch):
-        yield "told", lambda: [*scene.told.split(), scene.exit_code, scene.totals]
+        yield "told", lambda: [*scene.summary.split(), scene.exit_code, scene.totals]
         for ending in (".html", ".md", ".csv"):
             yield f"report {ending}", partial(write_report, scene, place / f"report{ending}", state=place / "reports")
         return

@@ -37,7 +37,7 @@ def test_a_texture_and_an_mlp_are_enough(tmp_path: Path, stage1: Path) -> None:
 def test_figures_are_reported_even_where_the_budget_is_missed(tmp_path: Path, stage1: Path) -> None:
     save(tmp_path / "c.json", orbit_cameras(load(stage1, Stage1), frames=2, width=40, height=40))
     reported: list[dict[str, Any]] = []
-    budget = Budget(80, str(tmp_path / "c.json"))
+    budget = Budget(min_psnr=80, cameras=str(tmp_path / "c.json"))
     with pytest.raises(BudgetMissed):
         bake_atlas_folder(str(stage1), tmp_path / "out", budget=budget, report=reported.append, **SMALL)
     assert len(reported) == 1
@@ -51,5 +51,7 @@ def test_a_folder_that_may_not_be_replaced_is_told_before_anything_is_read(tmp_p
         bake_atlas_folder("none", tmp_path / "out")
     source = stage1_folder(tmp_path / "in", mesh_0_obj=None)
     with pytest.raises(InvalidScene, match=r"mesh_0\.obj is missing"):
-        bake_atlas_folder(str(source), FolderTarget(str(tmp_path / "out"), force=True), budget=Budget(10), **SMALL)
+        bake_atlas_folder(
+            str(source), FolderTarget(str(tmp_path / "out"), force=True), budget=Budget(min_psnr=10), **SMALL
+        )
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["atlas.json"]

@@ -17,12 +17,14 @@ from tests.support.scenes import n3tree
 
 def test_the_file_is_judged_not_what_it_was_made_from(folder: Path, listener: Listener) -> None:
     tree = load("a.npz", N3Tree)
-    decibels = judge_output("a.svo.pb", tree, Budget(50, "cameras.json"), made_from="a.npz", steps=listener)
+    decibels = judge_output(
+        "a.svo.pb", tree, Budget(min_psnr=50, cameras="cameras.json"), made_from="a.npz", steps=listener
+    )
     assert decibels is not None
     assert listener.said == [f"a.svo.pb: {decibels:.2f} dB against a.npz"]
     (folder / "a.svo.pb").write_bytes(b"broken on its way to the disk")
     with pytest.raises(InvalidFile, match=r"a\.svo\.pb"):
-        judge_output("a.svo.pb", tree, Budget(50, "cameras.json"), made_from="a.npz")
+        judge_output("a.svo.pb", tree, Budget(min_psnr=50, cameras="cameras.json"), made_from="a.npz")
 
 
 @pytest.mark.usefixtures("folder")
@@ -31,7 +33,7 @@ def test_a_budget_is_judged_with_the_rays_that_it_asks_for(listener: Listener) -
     save("four.json", replace(load("cameras.json", Cameras), samples=2))
     tree, found = load("a.npz", N3Tree), {}
     for cameras, samples in (("cameras.json", None), ("cameras.json", 2), ("four.json", None), ("four.json", 1)):
-        budget = Budget(1, cameras, samples)
+        budget = Budget(min_psnr=1, cameras=cameras, samples=samples)
         found[cameras, samples] = judge_output("small.svo.pb", tree, budget, made_from="a.npz", steps=listener)
     assert found["cameras.json", None] == found["four.json", 1] != found["cameras.json", 2] == found["four.json", None]
     assert [line.endswith(", 2x2 rays a pixel") for line in listener.said] == [False, True, True, False]
@@ -41,7 +43,7 @@ def test_a_budget_is_judged_with_the_rays_that_it_asks_for(listener: Listener) -
 def test_a_scene_that_cannot_be_seen_is_blamed_by_its_name() -> None:
     lobes = n3tree(data_format="SG2", extra_data=np.ones((2, 4), np.float32))
     with pytest.raises(InvalidScene, match=r"^lobes\.npz: data_format is SG2"):
-        judge_output("a.svo.pb", lobes, Budget(50), made_from="lobes.npz")
+        judge_output("a.svo.pb", lobes, Budget(min_psnr=50), made_from="lobes.npz")
 
 
 @pytest.mark.usefixtures("folder")
@@ -53,17 +55,17 @@ def test_without_a_limit_nothing_is_read() -> None:
 def test_a_missed_budget_is_told_with_the_name_that_the_file_will_have() -> None:
     tree = load("a.npz", N3Tree)
     with pytest.raises(BudgetMissed, match=r"^b\.svo\.pb: the picture has a mean PSNR of"):
-        judge_output("a.svo.pb", tree, Budget(200, "cameras.json"), made_from="a.npz", name="b.svo.pb")
+        judge_output("a.svo.pb", tree, Budget(min_psnr=200, cameras="cameras.json"), made_from="a.npz", name="b.svo.pb")
     Path("a.svo.pb").write_bytes(b"broken")
     with pytest.raises(InvalidFile, match=r"^b\.svo\.pb: "):
-        judge_output("a.svo.pb", tree, Budget(1), made_from="a.npz", name="b.svo.pb")
+        judge_output("a.svo.pb", tree, Budget(min_psnr=1), made_from="a.npz", name="b.svo.pb")
 
 
 @pytest.mark.usefixtures("folder")
 def test_a_volume_whose_y_is_up_is_turned_back() -> None:
     tree = load("a.npz", N3Tree)
     save("y.nvdb", build_vdb(build_octree(tree), grids=("index",), up="y"))
-    decibels = judge_output("y.nvdb", tree, Budget(50, "cameras.json"), made_from="a.npz", up="y")
+    decibels = judge_output("y.nvdb", tree, Budget(min_psnr=50, cameras="cameras.json"), made_from="a.npz", up="y")
     assert decibels is not None
     with pytest.raises(BudgetMissed):
-        judge_output("y.nvdb", tree, Budget(50, "cameras.json"), made_from="a.npz")
+        judge_output("y.nvdb", tree, Budget(min_psnr=50, cameras="cameras.json"), made_from="a.npz")

@@ -30,7 +30,9 @@ SEEN = ComparedViews(cameras="cameras.json")
 
 
 def test_figures_and_pages(folder: Path, listener: Listener) -> None:
-    compared = compare_files("a.npz", "a.svo.pb", seen=SEEN, pages=ComparisonOutputs("a.png", "a.html"), steps=listener)
+    compared = compare_files(
+        "a.npz", "a.svo.pb", seen=SEEN, pages=ComparisonOutputs(sheet="a.png", html="a.html"), steps=listener
+    )
     assert [view["name"] for view in compared.found.views] == ["0000", "0001", "0002"]
     assert compared.a["bytes"] == (folder / "a.npz").stat().st_size
     assert compared.b["format"] == "svo.pb"
@@ -43,7 +45,10 @@ def test_figures_and_pages(folder: Path, listener: Listener) -> None:
 def test_photographs_give_the_size() -> None:
     render_views("a.npz", "truth", ViewSelection(cameras="cameras.json", every=True, size=(10, 8)))
     compared = compare_files(
-        "a.npz", "a.npz", seen=ComparedViews("cameras.json", truth="truth"), pages=ComparisonOutputs("sheet.png")
+        "a.npz",
+        "a.npz",
+        seen=ComparedViews(cameras="cameras.json", truth="truth"),
+        pages=ComparisonOutputs(sheet="sheet.png"),
     )
     assert compared.found.pictures[0][1].size == (10, 8)
     assert compared.found.means["a_truth"]["psnr"] > 50  # but for the rounding to 8 bits
@@ -78,7 +83,7 @@ def test_stdin_cannot_be_both_scenes() -> None:
 @pytest.mark.usefixtures("folder")
 def test_photographs_count_in_the_allowance_all_together() -> None:
     render_views("a.npz", "truth", ViewSelection(cameras="cameras.json", every=True, size=(300, 300)))
-    small = ComparedViews("cameras.json", "truth", size=(4, 4))
+    small = ComparedViews(cameras="cameras.json", truth="truth", size=(4, 4))
     with memory_limit(6_000_000):
         for name in ("0000", "0001", "0002"):
             load(f"truth/{name}.png", Image)
@@ -103,13 +108,13 @@ def test_a_camera_that_cannot_be_drawn_is_blamed_on_the_file_of_the_cameras() ->
     wide = replace(first, lens=Lens("polynomial", (-30.0,)), focal=10.0)
     save("wide.json", replace(cameras, cameras=(wide,)))
     for seen, said in (
-        (ComparedViews("long.json", size=(900, 900)), r"^long\.json: camera 0000 has focal length 4\.05e\+10"),
-        (ComparedViews("wide.json"), r"^wide\.json: camera 0000 shows nothing at pixel 0, 0"),
+        (ComparedViews(cameras="long.json", size=(900, 900)), r"^long\.json: camera 0000 has focal length 4\.05e\+10"),
+        (ComparedViews(cameras="wide.json"), r"^wide\.json: camera 0000 shows nothing at pixel 0, 0"),
     ):
         with pytest.raises(InvalidScene, match=said):
             compare_files("a.npz", "a.npz", seen=seen)
     with pytest.raises(InvalidScene, match=r"^long\.json: camera 0000 has focal length"):
-        render_views("a.npz", "a.png", ViewSelection("long.json", size=(900, 900)))
+        render_views("a.npz", "a.png", ViewSelection(cameras="long.json", size=(900, 900)))
     with pytest.raises(InvalidScene, match=r"^long\.json: camera 0000 has focal length"):
         view_file("a.npz", "a.html", cameras="long.json")
     with pytest.raises(InvalidScene, match=r"^wide\.json: camera 0000 shows nothing"):
@@ -131,7 +136,7 @@ def test_splats_and_meshes_on_a_map_are_compared_where_they_are(tmp_path: Path, 
         save(tmp_path / name, scene)
 
     def psnr(one: str, other: str, cameras: str | None = None) -> float:
-        seen = ComparedViews(cameras, size=(24, 24))
+        seen = ComparedViews(cameras=cameras, size=(24, 24))
         found = compare_files(tmp_path / one, tmp_path / other, seen=seen, steps=listener).found
         return float(found.means["a_b"]["psnr"])
 

@@ -42,7 +42,7 @@ def test_photographs_are_read_one_after_the_other(folder: Path) -> None:
     (folder / "truth").mkdir()
     for view in views.cameras:
         save(folder / "truth" / f"{view.name}.png", render_field(field, view))
-    photographs = GroundTruth("around.json", "truth")
+    photographs = GroundTruth(cameras="around.json", truth="truth")
     all_at_once = 12 * 640 * 640 * 4 * 5
     with memory_limit(2 * all_at_once // 3):
         found = compress_file("a.npz", "a.svoq", goal=CompressionGoal(step=0.2), photographs=photographs)

@@ -40,7 +40,9 @@ def test_an_octree_by_way_of_a_volume_is_the_same_octree() -> None:
 @pytest.mark.usefixtures("folder")
 def test_a_volume_in_another_format(listener: Listener) -> None:
     bake_volume("a.npz", "a.vdb", grids="density,Cd")
-    volume = convert_file("a.vdb", Target("b", to="nvdb"), choice=GridChoice(("density",)), half=True, steps=listener)
+    volume = convert_file(
+        "a.vdb", Target("b", to="nvdb"), choice=GridChoice(grids=("density",)), half=True, steps=listener
+    )
     assert isinstance(volume, Volume)
     (grid,) = load("b", Volume).grids
     assert isinstance(grid, VdbTree)
@@ -56,7 +58,7 @@ def test_what_does_not_go_together_is_told(folder: Path) -> None:
         convert_file("a.svo.pb", "b.svo.npz", half=True)
     bake_volume("a.npz", "a.vdb", grids="density,Cd")
     with pytest.raises(NerfbakeError, match=r"^a\.vdb: "):
-        convert_file("a.vdb", "b.svo.npz", choice=GridChoice(("heat",)))
+        convert_file("a.vdb", "b.svo.npz", choice=GridChoice(grids=("heat",)))
     assert not list(folder.glob("b*"))
 
 
@@ -64,7 +66,7 @@ def test_an_octree_is_made_of_the_density_wherever_it_stands(tmp_path: Path, lis
     path = tmp_path / "smoke.vdb"
     smoke(path, "density", "temperature")
     octree = convert_file(path, tmp_path / "all.svo.npz", steps=listener)
-    alone = convert_file(path, tmp_path / "alone.svo.npz", choice=GridChoice(("density",)))
+    alone = convert_file(path, tmp_path / "alone.svo.npz", choice=GridChoice(grids=("density",)))
     assert isinstance(octree, SparseVoxelOctree)
     assert isinstance(alone, SparseVoxelOctree)
     assert_same_octree(octree, alone)
@@ -175,7 +177,7 @@ def test_options_that_do_not_fit_splats_are_told(tmp_path: Path) -> None:
     save(tmp_path / "a.ply", splats(3))
     for options, said in (
         ({"half": True}, "splats have no child slots, grids and codecs"),
-        ({"choice": GridChoice(("density",))}, "splats have no child slots, grids and codecs"),
+        ({"choice": GridChoice(grids=("density",))}, "splats have no child slots, grids and codecs"),
         ({"choice": GridChoice(up="w")}, "`up` is 'w'; allowed: x, -x, y, -y, z, -z"),
         ({"small": True}, r"glb takes no option 'small'; allowed: none"),
     ):

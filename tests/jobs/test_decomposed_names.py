@@ -72,10 +72,10 @@ def test_each_camera_gets_its_picture(
     write: Callable[[Path, Form, Form], None], form: Form, stored: Form, tmp_path: Path
 ) -> None:
     write(tmp_path, form, stored)
-    trained, judges = read(tmp_path)
-    assert [camera.name for camera in judges.cameras.cameras] == ["Küche é r_0"]
-    assert [camera.name for camera in trained.cameras.cameras] == ["Küche é r_1", "Küche é r_2"]
-    for i, pixels in enumerate(trained.pictures, start=1):
+    training, held_out = read(tmp_path)
+    assert [camera.name for camera in held_out.cameras.cameras] == ["Küche é r_0"]
+    assert [camera.name for camera in training.cameras.cameras] == ["Küche é r_1", "Küche é r_2"]
+    for i, pixels in enumerate(training.pictures, start=1):
         assert_array_equal(pixels, spot(14, 10, i))
 
 
@@ -96,7 +96,7 @@ def test_masks_and_photographs_to_compare_with_are_found(form: Form, stored: For
     for i in range(3):
         name = unicodedata.normalize(stored, f"Küche é r_{i}.png")
         write_picture(masks / name, over(spot(made.width, made.height, 20), (0, 0, 0)))
-    assert len(read(tmp_path / "capture", masks=str(masks)).trained.pictures) == 2
+    assert len(read(tmp_path / "capture", masks=str(masks)).training.pictures) == 2
     names = [camera.name for camera in load(tmp_path / "capture", Cameras).cameras]
     assert len(list(io.Truth(masks, names, Image))) == 3
 
@@ -130,6 +130,6 @@ def test_a_name_of_255_bytes_is_taken_and_a_longer_one_names_its_camera(tmp_path
 
 @pytest.mark.data
 def test_the_capture_of_a_mac_is_read(data: Path) -> None:
-    trained, judges = read(data / "reports" / "F8_nfd_names" / "capture")
-    assert (len(trained.pictures), len(judges.pictures)) == (6, 4)
-    assert judges.cameras.cameras[0].name == "Küche 0"
+    training, held_out = read(data / "reports" / "F8_nfd_names" / "capture")
+    assert (len(training.pictures), len(held_out.pictures)) == (6, 4)
+    assert held_out.cameras.cameras[0].name == "Küche 0"

@@ -66,11 +66,11 @@ def test_what_a_mesh_lacks_is_printed_by_everything_that_shows_it(how: str, list
     shot = ViewSelection(size=(8, 8))
     match how:
         case "beside a field":
-            render_views("a.npz", "a.png", shot, mesh=PlacedMesh("mesh.obj"), steps=listener)
+            render_views("a.npz", "a.png", shot, mesh=PlacedMesh(path="mesh.obj"), steps=listener)
         case "alone":
             render_views("mesh.obj", "a.png", shot, steps=listener)
         case "on a page":
-            view_file("a.npz", "a.html", data="exact", mesh=PlacedMesh("mesh.obj"), steps=listener)
+            view_file("a.npz", "a.html", data="exact", mesh=PlacedMesh(path="mesh.obj"), steps=listener)
         case _:
             compare_files("mesh.obj", "mesh.obj", seen=ComparedViews(size=(8, 8)), steps=listener)
     assert {line for line in listener.said if "gone.mtl" in line} == {

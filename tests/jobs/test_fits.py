@@ -50,8 +50,8 @@ def trainer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeFit:
 @pytest.mark.usefixtures("trainer")
 def test_the_file_is_judged_as_anybody_would_read_it(capture: Path, listener: Listener) -> None:
     fitted = fit_file(capture, "a.npz", steps=listener)
-    judges = read_photographs(SILENT, Source(str(capture))).judges
-    assert fitted.views == measure_views(build_field(load("a.npz", N3Tree)), judges, samples=2)
+    held_out = read_photographs(SILENT, Source(str(capture))).held_out
+    assert fitted.views == measure_views(build_field(load("a.npz", N3Tree)), held_out, samples=2)
     assert fitted.psnr == pytest.approx(np.mean([view.psnr for view in fitted.views]), abs=1e-12)
     assert fitted.ssim == pytest.approx(np.mean([view.ssim for view in fitted.views]), abs=1e-12)
     assert fitted.bytes == Path("a.npz").stat().st_size
@@ -66,8 +66,8 @@ def test_what_judged_a_fit_measures_its_compression(capture: Path) -> None:
     assert found.measured
     assert found.views == len(fitted.views)
     assert found.source_psnr == pytest.approx(fitted.psnr, abs=0.02)  # of photographs in 8 bits
-    judges = read_photographs(SILENT, Source(str(capture))).judges
-    lost = measure_views(build_field(load("a.svoq")), judges, samples=2)
+    held_out = read_photographs(SILENT, Source(str(capture))).held_out
+    lost = measure_views(build_field(load("a.svoq")), held_out, samples=2)
     assert found.loss == pytest.approx(fitted.psnr - np.mean([view.psnr for view in lost]), abs=0.02)
     predicted = compress_file(
         "a.npz", "b.svoq", goal=CompressionGoal(step=0.5), photographs=GroundTruth(source_psnr=30)
@@ -97,7 +97,7 @@ def test_values_that_float16_cannot_hold_stay_float32(capture: Path, monkeypatch
 @pytest.mark.usefixtures("trainer")
 def test_compare_finds_what_was_said(capture: Path) -> None:
     fitted = fit_file(capture, "a.npz")
-    seen = ComparedViews(str(capture / "transforms_test.json"), truth=str(capture / "test"), samples=2)
+    seen = ComparedViews(cameras=str(capture / "transforms_test.json"), truth=str(capture / "test"), samples=2)
     means = compare_files("a.npz", "a.npz", seen=seen).found.means["a_truth"]
     assert (means["psnr"], means["ssim"]) == pytest.approx((fitted.psnr, fitted.ssim), abs=1e-9)
 
@@ -147,9 +147,9 @@ def test_what_cannot_be_written_is_told_before_anything_is_read(trainer: FakeFit
     with pytest.raises(OutputError, match="exists already"):
         fit_file("none", "there.npz")
     with pytest.raises(UsageError, match="`preset` and `minutes` each select a schedule; allowed: one of them"):
-        fit_file("none", "a.npz", recipe=FitOptions(preset="fast", minutes=1.0))
+        fit_file("none", "a.npz", options=FitOptions(preset="fast", minutes=1.0))
     with pytest.raises(UsageError, match="`test` and `holdout` both select"):
-        fit_file("none", "a.npz", album=PhotographOptions(test="a", holdout=3))
+        fit_file("none", "a.npz", photographs=PhotographOptions(test="a", holdout=3))
     with pytest.raises(OutputError, match=r"there\.npz: File exists"):
         fit_file("none", "a.npz", state="there.npz")
     Path("a.jpg").touch()
@@ -163,8 +163,8 @@ def test_the_trainer_is_asked_for_what_was_asked_for(trainer: FakeFit, capture: 
     fit_file(
         capture,
         Target("a", to="npz"),
-        album=PhotographOptions(holdout=4),
-        recipe=FitOptions(basis="SH1", samples=1, box=box, seed=7),
+        photographs=PhotographOptions(holdout=4),
+        options=FitOptions(basis="SH1", samples=1, box=box, seed=7),
     )
     (asked,) = trainer.asked
     assert (asked["basis"], asked["box"].tolist(), asked["seed"]) == ("SH1", [[-1, -2, -3], [1, 2, 3]], 7)
@@ -173,7 +173,7 @@ def test_the_trainer_is_asked_for_what_was_asked_for(trainer: FakeFit, capture: 
 
 
 @pytest.mark.parametrize(
-    ("recipe", "basis"),
+    ("options", "basis"),
     [
         (FitOptions(), "SH9"),
         (FitOptions(preset="fast"), "SH9"),
@@ -181,8 +181,8 @@ def test_the_trainer_is_asked_for_what_was_asked_for(trainer: FakeFit, capture: 
         (FitOptions(preset="best", basis="SH4"), "SH4"),
     ],
 )
-def test_the_preset_best_has_another_band(trainer: FakeFit, capture: Path, recipe: FitOptions, basis: str) -> None:
-    fit_file(capture, Target("a", to="npz"), recipe=recipe)
+def test_the_preset_best_has_another_band(trainer: FakeFit, capture: Path, options: FitOptions, basis: str) -> None:
+    fit_file(capture, Target("a", to="npz"), options=options)
     assert trainer.asked[0]["basis"] == basis
 
 
@@ -228,7 +228,7 @@ def test_a_killed_run_goes_on_where_it_was(trainer: FakeFit, capture: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("album", "recipe", "said"),
+    ("photographs", "options", "said"),
     [
         (
             PhotographOptions(),
@@ -247,11 +247,11 @@ def test_a_killed_run_goes_on_where_it_was(trainer: FakeFit, capture: Path) -> N
 )
 @pytest.mark.usefixtures("trainer")
 def test_a_state_of_another_fit_is_refused(
-    album: PhotographOptions, recipe: FitOptions, said: str, capture: Path
+    photographs: PhotographOptions, options: FitOptions, said: str, capture: Path
 ) -> None:
     fit_file(capture, "a.npz", state="state")
     with pytest.raises(InvalidFile, match=r"^state/checkpoint\.npz: " + said):
-        fit_file(capture, "b.npz", album=album, recipe=recipe, state="state")
+        fit_file(capture, "b.npz", photographs=photographs, options=options, state="state")
     assert not Path("b.npz").exists()
 
 

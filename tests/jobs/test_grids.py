@@ -34,14 +34,14 @@ def test_grids_by_name_and_an_axis() -> None:
     octree = build_octree(load(Path("a.npz"), N3Tree))
     volume, source = build_vdb(octree, grids=("density", "Cd")), Source("a.vdb")
     assert GridChoice().of(SILENT, source, volume) is volume
-    chosen = GridChoice(("Cd",)).of(SILENT, source, volume)
+    chosen = GridChoice(grids=("Cd",)).of(SILENT, source, volume)
     assert isinstance(chosen, Volume)
     assert [grid.name for grid in chosen.grids] == ["Cd"]
     assert (GridChoice(up="y").of(SILENT, source, volume).transform != volume.transform).any()
     with pytest.raises(NerfbakeError, match=r"^a.vdb: "):
-        GridChoice(("nothing",)).of(SILENT, source, volume)
+        GridChoice(grids=("nothing",)).of(SILENT, source, volume)
     with pytest.raises(UsageError, match=r"a\.vdb is not a volume; allowed: no `grid` and no `up`"):
-        GridChoice(("Cd",)).of(SILENT, source, octree)
+        GridChoice(grids=("Cd",)).of(SILENT, source, octree)
 
 
 def named(*names: str) -> Volume:
@@ -83,7 +83,7 @@ def test_every_command_tells_the_second_density(ending: str, listener: Listener)
     name = f"two.{ending}"
     commands: list[Callable[[], Any]] = [
         lambda: bake_hull(name, "a.obj", steps=listener),
-        lambda: render_views(name, PictureOutputs("a.png"), ViewSelection(size=(8, 8)), steps=listener),
+        lambda: render_views(name, PictureOutputs(out="a.png"), ViewSelection(size=(8, 8)), steps=listener),
         lambda: view_file(name, "a.html", steps=listener),
         lambda: compare_files(name, name, seen=ComparedViews(size=(8, 8)), steps=listener),
     ]

@@ -64,7 +64,9 @@ def test_the_command_takes_a_basis_a_scale_and_a_budget() -> None:
     lattice = load("ckpt.npz", LatticeField)
     assert_same_octree(octree, build_octree_from_lattice(lattice.scaled(1.5), basis="SH1", resolution=(6, 6, 6)))
     with pytest.raises(BudgetMissed, match="dB"):
-        jobs.bake_octree("ckpt.npz", "c.svo.npz", basis="SH1", resolution=(3, 3, 3), budget=Budget(90, "c.json"))
+        jobs.bake_octree(
+            "ckpt.npz", "c.svo.npz", basis="SH1", resolution=(3, 3, 3), budget=Budget(min_psnr=90, cameras="c.json")
+        )
 
 
 def test_others_take_it_too() -> None:
@@ -87,9 +89,9 @@ def load_octree(name: str) -> SparseVoxelOctree:
 
 def test_pictures_are_the_lattices_own_and_with_a_mesh_the_octrees() -> None:
     shots = ViewSelection(size=(16, 16))
-    jobs.render_views("ckpt.npz", PictureOutputs("a.png"), shots, lookup="trilinear")
+    jobs.render_views("ckpt.npz", PictureOutputs(out="a.png"), shots, lookup="trilinear")
     steps = Listener()
-    jobs.render_views("ckpt.npz", PictureOutputs("b.png"), shots, mesh=PlacedMesh("cube.glb"), steps=steps)
+    jobs.render_views("ckpt.npz", PictureOutputs(out="b.png"), shots, mesh=PlacedMesh(path="cube.glb"), steps=steps)
     assert any("voxels" in line for line in steps.said)
     assert Path("a.png").read_bytes() != Path("b.png").read_bytes()
 

@@ -61,12 +61,12 @@ def test_an_output_that_cannot_be_is_told_before_anything_is_read(folder: Path) 
 
 def test_a_missed_budget_leaves_what_was_written_as_rejected(folder: Path) -> None:
     with pytest.raises(BudgetMissed, match=r"^b.svo.pb: the picture has a mean PSNR of") as missed:
-        bake_octree("a.npz", "b.svo.pb", resolution=1, budget=Budget(50, "cameras.json"))
+        bake_octree("a.npz", "b.svo.pb", resolution=1, budget=Budget(min_psnr=50, cameras="cameras.json"))
     assert missed.value.exit_code == 3
     assert not (folder / "b.svo.pb").exists()
     assert load("b.svo.pb.rejected", SparseVoxelOctree).size == (1, 1, 1)
     with pytest.raises(BudgetMissed):
-        bake_lod("a.svo.pb", "c.svo.pb", level=0, budget=Budget(50, "cameras.json"))
+        bake_lod("a.svo.pb", "c.svo.pb", level=0, budget=Budget(min_psnr=50, cameras="cameras.json"))
     assert not (folder / "c.svo.pb").exists()
 
 

@@ -56,23 +56,23 @@ def many(count: int) -> Rig:
 @pytest.mark.parametrize("write", DIALECTS)
 def test_each_camera_gets_its_own_picture_in_every_dialect(write: Callable[..., Path], tmp_path: Path) -> None:
     made = many(5)
-    trained, judges = read(photographed(write, tmp_path, made), holdout=3)
-    names = [camera.name for camera in trained.cameras.cameras]
+    training, held_out = read(photographed(write, tmp_path, made), holdout=3)
+    names = [camera.name for camera in training.cameras.cameras]
     assert names == ["r_1", "r_2", "r_4"]
-    assert [camera.name for camera in judges.cameras.cameras] == ["r_0", "r_3"]
-    for name, pixels, camera in zip(names, trained.pictures, trained.cameras.cameras, strict=True):
+    assert [camera.name for camera in held_out.cameras.cameras] == ["r_0", "r_3"]
+    for name, pixels, camera in zip(names, training.pictures, training.cameras.cameras, strict=True):
         number = int(name[2:])
         assert_array_equal(pixels, spot(made.width, made.height, number))
         np.testing.assert_allclose(camera.pose, made.poses[number], atol=1e-12)
-    assert (trained.masked, trained.background) == (True, (1.0, 1.0, 1.0))
+    assert (training.masked, training.background) == (True, (1.0, 1.0, 1.0))
 
 
 def test_pictures_of_a_model_that_stands_alone_are_above_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     photographed(write_colmap_binary, tmp_path, many(5))
     for place in ("sparse/0", "sparse/0/images.bin"):
-        assert len(read(tmp_path / place).trained.pictures) == 4
+        assert len(read(tmp_path / place).training.pictures) == 4
     monkeypatch.chdir(tmp_path / "sparse" / "0")
-    assert len(read("images.bin").trained.pictures) == 4
+    assert len(read("images.bin").training.pictures) == 4
 
 
 @pytest.mark.parametrize(("name", "place"), [("images/r_{}.png", "images"), ("r_{}.png", "."), ("a/r_{}.png", "a")])
@@ -85,9 +85,9 @@ def test_names_of_a_model_may_be_relative_to_the_capture(name: str, place: str, 
         text = text.replace(f" r_{i}.png", " " + name.format(i))
         write_picture(tmp_path / name.format(i), spot(made.width, made.height, i))
     images.write_text(text)
-    trained, _ = read(tmp_path)
-    assert [camera.picture for camera in trained.cameras.cameras] == [name.format(i) for i in range(1, 5)]
-    for i, pixels in enumerate(trained.pictures, start=1):
+    training, _ = read(tmp_path)
+    assert [camera.picture for camera in training.cameras.cameras] == [name.format(i) for i in range(1, 5)]
+    for i, pixels in enumerate(training.pictures, start=1):
         assert_array_equal(pixels, spot(made.width, made.height, i))
     (tmp_path / place / "r_3.png").write_bytes(b"GIF89a")
     with pytest.raises(InvalidFile, match=r"r_3\.png: the picture cannot be read"):
@@ -95,8 +95,8 @@ def test_names_of_a_model_may_be_relative_to_the_capture(name: str, place: str, 
 
 
 def test_every_eighth_view_judges_where_nothing_else_is_said(tmp_path: Path) -> None:
-    posed = read(photographed(write_nerfstudio, tmp_path, many(17)))
-    assert [camera.name for camera in posed.judges.cameras.cameras] == ["r_0", "r_8", "r_16"]
+    split = read(photographed(write_nerfstudio, tmp_path, many(17)))
+    assert [camera.name for camera in split.held_out.cameras.cameras] == ["r_0", "r_8", "r_16"]
 
 
 def split_capture(folder: Path) -> Path:
@@ -109,18 +109,18 @@ def split_capture(folder: Path) -> Path:
 
 
 def test_a_capture_with_views_to_judge_by_is_judged_by_them(tmp_path: Path, listener: Listener) -> None:
-    posed = read_photographs(listener, Source(str(split_capture(tmp_path))))
-    assert (len(posed.trained.pictures), len(posed.judges.pictures)) == (5, 5)
+    split = read_photographs(listener, Source(str(split_capture(tmp_path))))
+    assert (len(split.training.pictures), len(split.held_out.pictures)) == (5, 5)
     assert listener.phases == [
         f"reading {tmp_path}/transforms_train.json",
         "reading 5 pictures",
         f"reading {tmp_path}/transforms_test.json",
         "reading 5 pictures",
     ]
-    assert len(read(tmp_path, holdout=2).judges.pictures) == 3  # of those to train with
-    assert len(read(tmp_path / "transforms_train.json").trained.pictures) == 4
-    posed = read(tmp_path / "transforms_train.json", test=str(tmp_path / "transforms_test.json"))
-    assert (len(posed.trained.pictures), len(posed.judges.pictures)) == (5, 5)
+    assert len(read(tmp_path, holdout=2).held_out.pictures) == 3  # of those to train with
+    assert len(read(tmp_path / "transforms_train.json").training.pictures) == 4
+    split = read(tmp_path / "transforms_train.json", test=str(tmp_path / "transforms_test.json"))
+    assert (len(split.training.pictures), len(split.held_out.pictures)) == (5, 5)
     with pytest.raises(UsageError, match="`test` and `holdout` both select the held-out views; allowed: one of them"):
         PhotographOptions(test="a", holdout=3).require()
     with pytest.raises(UsageError, match="`holdout` is 1; allowed: 2 or more"):
@@ -147,9 +147,9 @@ def test_test_cameras_without_pictures_judge_nothing(tmp_path: Path, listener: L
     """Blender add-ons write the cameras of both splits, but may render the training views alone."""
     capture = split_capture(tmp_path)
     shutil.rmtree(capture / "test")
-    posed = read_photographs(listener, Source(str(capture)))
-    assert [camera.name for camera in posed.judges.cameras.cameras] == ["r_0"]
-    assert len(posed.trained.pictures) == 4
+    split = read_photographs(listener, Source(str(capture)))
+    assert [camera.name for camera in split.held_out.cameras.cameras] == ["r_0"]
+    assert len(split.training.pictures) == 4
     said = f"{capture}/transforms_test.json: has no pictures; one of every 8 training views is held out instead"
     assert said in listener.said
     with pytest.raises(InvalidFile, match=r"transforms_test.json: picture test/r_0 is not there; allowed"):
@@ -162,8 +162,8 @@ def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
     with pytest.raises(InvalidScene, match=r"capture: the pictures show scenery behind the object: .* `masks=DIR`"):
         read(capture, scenery="drop")
     kept = read(capture)
-    assert kept.trained.scenery
-    assert kept.judges.scenery
+    assert kept.training.scenery
+    assert kept.held_out.scenery
     masks = tmp_path / "masks"
     mask = np.repeat(spot(14, 10)[..., 3:], 3, axis=2)
     for number, name in enumerate(("r_0.png", "r_1.jpg", "r_2.png.png", "images/r_3.png", "images/r_4.png.png")):
@@ -171,13 +171,13 @@ def test_masks_cut_the_object_out_of_scenery(tmp_path: Path) -> None:
         if number < 4:
             with pytest.raises(InvalidFile, match=rf"masks: mask r_{number + 1} is not there; allowed: .*"):
                 read(capture, masks=str(masks))
-    trained = read(capture, masks=str(masks)).trained
-    assert trained.masked
-    assert trained.rough
-    used = read(capture, masks=str(masks), scenery="keep").trained
+    training = read(capture, masks=str(masks)).training
+    assert training.masked
+    assert training.rough
+    used = read(capture, masks=str(masks), scenery="keep").training
     assert used.scenery
     assert_array_equal(used.used(0), spot(14, 10)[..., 3] == 255)
-    for pixels in trained.pictures:
+    for pixels in training.pictures:
         assert_array_equal(pixels[..., :3], scenery)
         assert_array_equal(pixels[..., 3], spot(14, 10)[..., 3])
     write_picture(masks / "r_1.jpg", mask[:-1])
@@ -201,8 +201,8 @@ def test_masks_of_several_cameras_lie_as_their_pictures_do(tmp_path: Path) -> No
         mask[:, : i + 1] = 255
         write_picture(tmp_path / "masks" / f"{name}.png", mask)
     images.write_text(text)
-    trained, judges = read(tmp_path, masks=str(tmp_path / "masks"))
-    for views in (trained, judges):
+    training, held_out = read(tmp_path, masks=str(tmp_path / "masks"))
+    for views in (training, held_out):
         for camera, pixels in zip(views.cameras.cameras, views.pictures, strict=True):
             side, number = camera.picture.removeprefix("images/").removesuffix(".png").split("/")
             i = 2 * int(number) + (side == "right")
@@ -220,8 +220,8 @@ def test_masks_of_several_cameras_lie_as_their_pictures_do(tmp_path: Path) -> No
 
 def test_a_plain_background_is_found_or_told(tmp_path: Path) -> None:
     capture = photographed(write_nsvf, tmp_path, many(5), lambda pixels: over(pixels, (9, 8, 7)))
-    assert read(capture).trained.background == (9 / 255, 8 / 255, 7 / 255)
-    assert read(capture, background=(0.0, 0.0, 0.0)).judges.background == (0.0, 0.0, 0.0)
+    assert read(capture).training.background == (9 / 255, 8 / 255, 7 / 255)
+    assert read(capture, background=(0.0, 0.0, 0.0)).held_out.background == (0.0, 0.0, 0.0)
     with pytest.raises(InvalidScene, match="only 0 % of their edges are near 255,255,255"):
         read(capture, background=(1.0, 1.0, 1.0))
 
@@ -234,11 +234,11 @@ def test_cameras_without_a_picture_are_left_out_and_counted(
     for name in ("r_1", "r_4"):
         (picture,) = (file for file in tmp_path.rglob(f"{name}*") if is_picture(file))
         picture.unlink()
-    trained, judges = read_photographs(listener, Source(str(path)), PhotographOptions(holdout=2))
-    assert [camera.name for camera in trained.cameras.cameras] == ["r_2", "r_5"]
-    assert [camera.name for camera in judges.cameras.cameras] == ["r_0", "r_3"]
+    training, held_out = read_photographs(listener, Source(str(path)), PhotographOptions(holdout=2))
+    assert [camera.name for camera in training.cameras.cameras] == ["r_2", "r_5"]
+    assert [camera.name for camera in held_out.cameras.cameras] == ["r_0", "r_3"]
     assert f"{path}: 2 of 6 cameras have no picture and are left out" in listener.said
-    for views in (trained, judges):
+    for views in (training, held_out):
         for camera, pixels in zip(views.cameras.cameras, views.pictures, strict=True):
             assert_array_equal(pixels, spot(camera.width, camera.height, int(camera.name[2:])))
 
@@ -256,8 +256,8 @@ def test_endings_may_be_in_another_case_than_the_files(tmp_path: Path) -> None:
     for name in ("r_1", "r_2", "r_3", "r_4"):
         text = text.replace(f"{name}.png", f"{name}.jpg")
     path.write_text(text)
-    posed = read(capture)
-    assert len(posed.trained.pictures) + len(posed.judges.pictures) == 5
+    split = read(capture)
+    assert len(split.training.pictures) + len(split.held_out.pictures) == 5
 
 
 def test_a_picture_that_lies_on_its_side_is_turned_only_to_fit_its_camera(tmp_path: Path) -> None:
@@ -269,9 +269,9 @@ def test_a_picture_that_lies_on_its_side_is_turned_only_to_fit_its_camera(tmp_pa
     exif[0x0112] = 6
     stored = upright.transpose(Pillow.Transpose.ROTATE_90)
     stored.save(path, exif=exif)
-    assert_array_equal(read(capture).trained.pictures[0], np.asarray(upright))  # poses found on upright pictures
+    assert_array_equal(read(capture).training.pictures[0], np.asarray(upright))  # poses found on upright pictures
     upright.save(path, exif=exif)
-    assert_array_equal(read(capture).trained.pictures[0], np.asarray(upright))  # poses found on the stored pixels
+    assert_array_equal(read(capture).training.pictures[0], np.asarray(upright))  # poses found on the stored pixels
     stored.save(path)
     with pytest.raises(InvalidScene, match=r"r_1\.png has 10x14 pixels; allowed: .* 14x10"):
         read(capture)
@@ -362,15 +362,15 @@ def test_pictures_count_as_memory_once_and_compressed(tmp_path: Path) -> None:
         write_nerfstudio, tmp_path, Rig(140, 100, 175, 175, 70, 50, made.poses), lambda pixels: pixels
     )
     with memory_limit(1_000_000):
-        posed = read(capture)
+        split = read(capture)
         assert left() > 1_000_000 - 9 * 56_000 / 4
-        del posed
+        del split
     for path in (capture / "images").iterdir():
         Pillow.fromarray(rng.integers(0, 256, (100, 140, 4), dtype=np.uint8)).save(path)  # cannot be compressed
     with memory_limit(1_000_000):
-        posed = read(capture)
+        split = read(capture)
         assert 1_000_000 - 9 * 56_000 - 30_000 < left() <= 1_000_000 - 9 * 56_000
-        del posed
+        del split
     with memory_limit(400_000), pytest.raises(MemoryLimit, match=r"images/r_\d\.png: the picture needs .* in addition"):
         read(capture)
 
@@ -387,11 +387,11 @@ def test_large_pictures_are_reduced_with_their_masks(
         mask.paste(255, (30, 30, 91, 60))
         mask.save(masks / path.name)
     with memory_limit(600_000):
-        posed = read_photographs(listener, Source(str(capture)), PhotographOptions(masks=str(masks)))
+        split = read_photographs(listener, Source(str(capture)), PhotographOptions(masks=str(masks)))
         assert left() >= 600_000 - 9 * 46 * 33 * 4
-    assert {picture.shape for picture in (*posed.trained.pictures, *posed.judges.pictures)} == {(33, 46, 4)}
-    assert posed.trained.cameras.cameras[0].fx == pytest.approx(175 / 3)
-    assert set(posed.trained.pictures[0][15, 8:34, 3].tolist()) == {0, 85, 255}
+    assert {picture.shape for picture in (*split.training.pictures, *split.held_out.pictures)} == {(33, 46, 4)}
+    assert split.training.cameras.cameras[0].fx == pytest.approx(175 / 3)
+    assert set(split.training.pictures[0][15, 8:34, 3].tolist()) == {0, 85, 255}
     said = "reduces large pictures, such as from 140x100 to 46x33 pixels, each the mean of 3x3"
     assert [line for line in listener.said if "reduces" in line] == [f"{capture}: {said}"]
 
@@ -408,7 +408,7 @@ def test_a_name_that_is_too_long_is_named(tmp_path: Path) -> None:
 def test_poses_of_llff_need_one_picture_each(tmp_path: Path) -> None:
     capture = photographed(write_llff, tmp_path, many(5))
     (capture / "images" / "._r_0.JPG").write_bytes(b"\0\5\x16\7")  # macOS writes these to drives of other systems
-    assert len(read(capture).trained.pictures) == 4
+    assert len(read(capture).training.pictures) == 4
     (capture / "images" / "r_3.JPG").unlink()
     said = "images does not have one picture for each of the 5 poses; allowed: 5 PNG, JPEG or HEIC"
     with pytest.raises(InvalidFile, match=said):
@@ -419,4 +419,4 @@ def test_a_picture_beside_the_cameras_file_is_found(tmp_path: Path) -> None:
     photographed(write_nerfstudio, tmp_path, many(5))
     (tmp_path / "transforms.json").rename(tmp_path / "mine.json")
     assert len(load(tmp_path / "mine.json", Cameras).cameras) == 5
-    assert len(read(tmp_path / "mine.json").trained.pictures) == 4
+    assert len(read(tmp_path / "mine.json").training.pictures) == 4

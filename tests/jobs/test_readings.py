@@ -42,10 +42,10 @@ FAST = {
     "nerfbake.jobs.readings._EDGE": 16,
 }
 SCENES = ("tree.npz", "octree.svo.npz", "own.vdb", "smoke.vdb", "grid.npz", "ball.ply")
-AGAIN, STEP = jobs.RefitOptions(epochs=1, samples=1), jobs.CompressionGoal(step=0.5)
-LIKE = jobs.RefitTarget(like="tree.npz", frames=2, edge=16)
-LOOK, TINY = jobs.MeshViews(frames=2, edge=16), jobs.MeshOptions((100,), texture=64)
-FEW = jobs.SplatsModel(frames=2, edge=16)
+REFIT, STEP = jobs.RefitOptions(epochs=1, samples=1), jobs.CompressionGoal(step=0.5)
+LIKE = jobs.RefitReference(like="tree.npz", frames=2, edge=16)
+LOOK, TINY = jobs.MeshViews(frames=2, edge=16), jobs.MeshOptions(triangles=(100,), texture=64)
+FEW, FIFTY = jobs.SplatsViews(frames=2, edge=16), jobs.SplatsOptions(splats=50, epochs=1)
 
 # command: the job from a file and the name of the output, the output's ending, and its type
 Job = Callable[[str, str, Listener], Any]
@@ -56,11 +56,11 @@ COMMANDS: dict[str, tuple[Job, str, type]] = {
     "lattice": (lambda a, b, s: jobs.bake_lattice(a, b, rounds=1, steps=s), "", LatticeField),
     "compress": (lambda a, b, s: jobs.compress_file(a, b, goal=STEP, steps=s), ".svoq", SparseVoxelOctree),
     "hull": (lambda a, b, s: jobs.bake_hull(a, b, level=2, steps=s), ".obj", Meshes),
-    "mesh": (lambda a, b, s: jobs.bake_mesh(a, b, model=LOOK, recipe=TINY, steps=s), ".glb", Meshes),
-    "splats": (lambda a, b, s: jobs.bake_splats(a, b, FEW, recipe=jobs.SplatsOptions(50, 1), steps=s), ".ply", Splats),
-    "refit": (lambda a, b, s: jobs.refit_file(a, b, LIKE, again=AGAIN, steps=s), ".svo.npz", SparseVoxelOctree),
+    "mesh": (lambda a, b, s: jobs.bake_mesh(a, b, pictures=LOOK, options=TINY, steps=s), ".glb", Meshes),
+    "splats": (lambda a, b, s: jobs.bake_splats(a, b, FEW, options=FIFTY, steps=s), ".ply", Splats),
+    "refit": (lambda a, b, s: jobs.refit_file(a, b, LIKE, options=REFIT, steps=s), ".svo.npz", SparseVoxelOctree),
     "like": (
-        lambda a, b, s: jobs.refit_file("octree.svo.npz", b, jobs.RefitTarget(a, None, 2, 16), again=AGAIN, steps=s),
+        lambda a, b, s: jobs.refit_file("octree.svo.npz", b, replace(LIKE, like=a), options=REFIT, steps=s),
         ".svo.npz",
         SparseVoxelOctree,
     ),

@@ -19,7 +19,7 @@ from nerfbake import (
     save,
 )
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, OutputError, UsageError
-from nerfbake.jobs import RefitOptions, RefitTarget, Source, bake_octree, refit_file
+from nerfbake.jobs import RefitOptions, RefitReference, Source, bake_octree, refit_file
 from nerfbake.jobs.photographs import read_photographs
 from nerfbake.jobs.splat_voxels import Part
 from nerfbake.jobs.steps import SILENT
@@ -28,7 +28,7 @@ from tests.support.brick_fields import some_shelled_field
 from tests.support.photographs import write_scene
 from tests.support.scenes import n3tree
 
-LIKE = RefitTarget(like="fine.npz", frames=12, edge=48)
+LIKE = RefitReference(like="fine.npz", frames=12, edge=48)
 
 
 @pytest.fixture(autouse=True)
@@ -55,14 +55,14 @@ def test_an_octree_that_cannot_be_measured_gets_no_name(monkeypatch: pytest.Monk
         return ()
 
     monkeypatch.setattr("nerfbake.jobs.refits.measure_views", fail)
-    like, again = RefitTarget(like="fine.npz", frames=2, edge=8), RefitOptions(epochs=1, samples=1)
+    like, options = RefitReference(like="fine.npz", frames=2, edge=8), RefitOptions(epochs=1, samples=1)
     with pytest.raises(MemoryLimit, match=r"^out\.svo\.npz: the pictures"):
-        refit_file("coarse.svo.npz", "out.svo.npz", like, again=again)
+        refit_file("coarse.svo.npz", "out.svo.npz", like, options=options)
     assert sorted(path.name for path in Path().iterdir()) == ["coarse.svo.npz", "fine.npz"]
 
 
 def test_it_comes_nearer_to_the_finer_scene_with_the_same_nodes(listener: Listener) -> None:
-    found = refit_file("coarse.svo.npz", "out.svo.npz", LIKE, again=RefitOptions(samples=1), steps=listener)
+    found = refit_file("coarse.svo.npz", "out.svo.npz", LIKE, options=RefitOptions(samples=1), steps=listener)
     before, after = found.psnr
     assert after > before + 1
     assert len(found.before) == len(found.after) == 8
@@ -78,25 +78,25 @@ def test_it_comes_nearer_to_the_finer_scene_with_the_same_nodes(listener: Listen
 def test_it_comes_nearer_to_photographs_and_is_judged_by_others(tmp_path: Path) -> None:
     capture = write_scene(tmp_path / "capture")
     save("coarse.npz", sample_n3tree(resolution=8, basis="SH1"))
-    found = refit_file("coarse.npz", "out.svo.pb", RefitTarget(views=str(capture)), again=RefitOptions(epochs=3))
+    found = refit_file("coarse.npz", "out.svo.pb", RefitReference(views=str(capture)), options=RefitOptions(epochs=3))
     assert found.psnr[1] > found.psnr[0] + 0.5
-    judges = read_photographs(SILENT, Source(str(capture))).judges
-    assert found.after == measure_views(build_field(octree("out.svo.pb")), judges, samples=2)
+    held_out = read_photographs(SILENT, Source(str(capture))).held_out
+    assert found.after == measure_views(build_field(octree("out.svo.pb")), held_out, samples=2)
 
 
 @pytest.mark.parametrize(("box", "inner"), [("inner", True), ("all", False)])
 def test_pictures_of_scenery_show_what_the_octree_contains(box: Part, inner: bool, listener: Listener) -> None:
     save("s.npz", build_n3tree(some_shelled_field(basis=4)))
     bake_octree("s.npz", "exact.svo.npz", box=box)
-    model, again = RefitTarget(like="s.npz", frames=4, edge=24), RefitOptions(epochs=1, samples=1)
-    before, _ = refit_file("exact.svo.npz", "out.svo.npz", model, again=again, steps=listener).psnr
+    reference, options = RefitReference(like="s.npz", frames=4, edge=24), RefitOptions(epochs=1, samples=1)
+    before, _ = refit_file("exact.svo.npz", "out.svo.npz", reference, options=options, steps=listener).psnr
     assert before > 60  # the octree has the same values
     assert ("s.npz: uses the inner cube of 64^3 and leaves out the scenery around it" in listener.said) == inner
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
     for name, seed in (("a.svo.npz", 0), ("b.svo.npz", 0), ("c.svo.npz", 1)):
-        refit_file("coarse.svo.npz", name, LIKE, again=RefitOptions(epochs=1, samples=1, seed=seed))
+        refit_file("coarse.svo.npz", name, LIKE, options=RefitOptions(epochs=1, samples=1, seed=seed))
     a, b, c = (Path(name).read_bytes() for name in ("a.svo.npz", "b.svo.npz", "c.svo.npz"))
     assert a == b != c
 
@@ -104,7 +104,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 def test_halves_and_the_layout_stay() -> None:
     tree = sample_n3tree(resolution=16, basis="SH1")
     save("half.svo.npz", build_octree(tree, resolution=8, dtype="float16", layout="compact"))
-    refit_file("half.svo.npz", "out.svo.npz", LIKE, again=RefitOptions(epochs=1, samples=1))
+    refit_file("half.svo.npz", "out.svo.npz", LIKE, options=RefitOptions(epochs=1, samples=1))
     assert octree("out.svo.npz").node_data.dtype == np.float16
     assert octree("out.svo.npz").layout == "compact"
 
@@ -113,20 +113,25 @@ def test_halves_and_the_layout_stay() -> None:
     ("model", "target", "error", "message"),
     [
         (
-            RefitTarget(),
+            RefitReference(),
             "a.svo.npz",
             UsageError,
             "`like` and `views`: neither is given; allowed: one",
         ),
-        (RefitTarget("fine.npz", "capture"), "a.svo.npz", UsageError, "`like` and `views`: both are given"),
+        (
+            RefitReference(like="fine.npz", views="capture"),
+            "a.svo.npz",
+            UsageError,
+            "`like` and `views`: both are given",
+        ),
         (LIKE, "-", UsageError, "refit measures the file that it wrote"),
         (LIKE, "a.png", UsageError, "'a.png' has no file extension for an octree"),
         (LIKE, "coarse.svo.npz", OutputError, "coarse.svo.npz"),
-        (RefitTarget("none.npz"), "a.svo.npz", NerfbakeError, "none.npz: No such file or directory"),
+        (RefitReference(like="none.npz"), "a.svo.npz", NerfbakeError, "none.npz: No such file or directory"),
     ],
 )
 def test_what_is_refused_writes_nothing(
-    model: RefitTarget, target: str, error: type[Exception], message: str, folder: Path
+    model: RefitReference, target: str, error: type[Exception], message: str, folder: Path
 ) -> None:
     there = sorted(folder.iterdir())
     with pytest.raises(error, match=message):

@@ -78,7 +78,7 @@ def test_photographs_of_the_room_are_opaque_and_show_it_through_their_cameras(tm
 def test_the_room_is_fitted_with_everything_around_the_table(tmp_path: Path) -> None:
     room, scene = tmp_path / "room", tmp_path / "room.npz"
     cameras = write_sample_capture(room, frames=32, edge=64, room=True).cameras
-    fitted = fit_file(str(room), str(scene), recipe=FitOptions(epochs=SHORT, basis="SH1"))
+    fitted = fit_file(str(room), str(scene), options=FitOptions(epochs=SHORT, basis="SH1"))
     assert len(fitted.views) == 4
     assert min(view.psnr for view in fitted.views) > 22
     field = build_field(load(scene, N3Tree))

@@ -52,9 +52,9 @@ def test_a_scale_changes_nothing_and_is_told(scale: float, capture: Path, tmp_pa
         f"8 of 8 {said.format(scale)}",
         f"2 of 2 {said.format(scale)}",
     ]
-    a, b = (ray_targets(posed.trained, 0, scale=1, samples=2, ring=0) for posed in (good, scaled))
+    a, b = (ray_targets(split.training, 0, scale=1, samples=2, ring=0) for split in (good, scaled))
     np.testing.assert_allclose(a.directions, b.directions, atol=1e-6)
-    hulls = [carve_hull(posed.trained, resolution=16) for posed in (good, scaled)]
+    hulls = [carve_hull(split.training, resolution=16) for split in (good, scaled)]
     np.testing.assert_allclose(hulls[0].box, hulls[1].box, atol=1e-9)
     assert hulls[0].n == hulls[1].n
 
@@ -70,8 +70,8 @@ def test_axes_that_are_no_rotation_are_a_warning(factors: Sequence[float], captu
 
 
 def test_rays_of_axes_of_different_lengths_are_unit_vectors(capture: Path, tmp_path: Path) -> None:
-    posed = read_photographs(SILENT, Source(str(times(capture, tmp_path / "wrong", (0.5, 0.5, 0.1)))))
-    rays = ray_targets(posed.trained, 0, scale=1, samples=1, ring=0).directions
+    split = read_photographs(SILENT, Source(str(times(capture, tmp_path / "wrong", (0.5, 0.5, 0.1)))))
+    rays = ray_targets(split.training, 0, scale=1, samples=1, ring=0).directions
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1, atol=1e-6)
 
 
@@ -81,7 +81,7 @@ def test_a_scaled_capture_fits_as_well_as_a_good_one(data: Path, tmp_path: Path)
     good = data / "reports" / "F1_scaled_poses" / "good"
     found = []
     for name, scale in (("good", 1.0), ("smaller", 0.1)):
-        place, recipe = times(good, tmp_path / name, scale), FitOptions(preset="fast", resolution=32)
-        found.append(fit_file(place, tmp_path / f"{name}.npz", recipe=recipe).psnr)
+        place, options = times(good, tmp_path / name, scale), FitOptions(preset="fast", resolution=32)
+        found.append(fit_file(place, tmp_path / f"{name}.npz", options=options).psnr)
     assert found[0] > 21.9  # 13.59 dB with 0.1, before the scale was divided out
     assert found[1] == pytest.approx(found[0], abs=0.02)

@@ -48,7 +48,7 @@ def test_photographs_alone_become_a_scene(tmp_path: Path, capfd: pytest.CaptureF
     with pytest.raises(
         UsageError, match=r"has scenery behind the object, which .*a\.svo\.pb cannot store; allowed: a Pl"
     ):
-        jobs.fit_file(str(room), str(tmp_path / "a.svo.pb"), recipe=jobs.FitOptions(epochs=SHORT))
+        jobs.fit_file(str(room), str(tmp_path / "a.svo.pb"), options=jobs.FitOptions(epochs=SHORT))
     assert not (tmp_path / "a.svo.pb").exists()
 
 
@@ -106,12 +106,16 @@ def shown(tmp_path: Path) -> Path:
 
 
 def test_photographs_with_scenery_show_the_mesh_and_the_splats_alone(shown: Path) -> None:
-    field, photos, recipe = str(shown / "a.npz"), str(shown / "photos"), jobs.MeshOptions((1000,), texture=128)
-    mesh = jobs.bake_mesh(field, str(shown / "a.glb"), model=jobs.MeshViews(photos), recipe=recipe)
+    field, photos, options = (
+        str(shown / "a.npz"),
+        str(shown / "photos"),
+        jobs.MeshOptions(triangles=(1000,), texture=128),
+    )
+    mesh = jobs.bake_mesh(field, str(shown / "a.glb"), pictures=jobs.MeshViews(views=photos), options=options)
     assert mesh.quality.psnr > 22  # with the noise it would be below 10
     assert mesh.quality.iou > 0.9
     few = jobs.SplatsOptions(splats=1000, epochs=4)
-    splats = jobs.bake_splats(field, str(shown / "a.ply"), jobs.SplatsModel(photos), recipe=few)
+    splats = jobs.bake_splats(field, str(shown / "a.ply"), jobs.SplatsViews(views=photos), options=few)
     assert splats.psnr > 20
 
 

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose
 from nerfbake import SparseVoxelOctree, Splats, Volume, load, orbit_cameras, save
 from nerfbake.errors import BudgetMissed, InvalidFile, InvalidScene, MemoryLimit, NerfbakeError, UsageError
 from nerfbake.jobs import (
-    RefitTarget,
+    RefitReference,
     bake_mesh,
     bake_octree,
     bake_volume,
@@ -32,7 +32,7 @@ from nerfbake.jobs import (
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.comparisons import ComparedViews
 from nerfbake.jobs.compressions import CompressionGoal
-from nerfbake.jobs.splat_voxels import USUAL, SplatVoxels
+from nerfbake.jobs.splat_voxels import SplatVoxels
 from nerfbake.memory import memory_limit
 from nerfbake.scene.radiance_field import RadianceField
 from tests.jobs.listener import Listener
@@ -103,7 +103,7 @@ def test_large_splats_have_fewer_voxels(listener: Listener) -> None:
 
 
 @pytest.mark.usefixtures("ball")
-@pytest.mark.parametrize("options", [DIRECT, USUAL], ids=["direct", "fitted"])
+@pytest.mark.parametrize("options", [DIRECT, SplatVoxels()], ids=["direct", "fitted"])
 def test_voxels_that_do_not_fit_into_memory_are_larger(options: SplatVoxels, listener: Listener) -> None:
     """A set of 563 splats filled 6,999,813 voxels of 256^3 and was refused: fitting them needed 1.7 GiB."""
     save("fog.ply", fog(2000, scale=0.06))
@@ -178,7 +178,7 @@ def colour_at(octree: SparseVoxelOctree, point: list[float]) -> np.ndarray:
 @pytest.mark.usefixtures("ball")
 def test_up_turns_the_world() -> None:
     own = bake_octree("ball.ply", "own.svo.npz", resolution=32, splats=DIRECT)
-    turned = bake_octree("ball.ply", "turned.svo.npz", resolution=32, splats=DIRECT._replace(up="-y"))
+    turned = bake_octree("ball.ply", "turned.svo.npz", resolution=32, splats=replace(DIRECT, up="-y"))
     # Red, green and blue are x, y and z of the splats.
     assert_allclose(colour_at(own, [0, 0, 1]), [0.5, 0.5, 1], atol=0.1)
     assert_allclose(colour_at(turned, [0, 0, 1]), [0.5, 0, 0.5], atol=0.1)
@@ -189,7 +189,7 @@ def test_up_turns_the_world() -> None:
 @pytest.mark.usefixtures("ball")
 @pytest.mark.parametrize(("up", "top"), [("z", [0, 0, 1]), ("y", [0, 1, 0])])
 def test_a_volume_stands_upright(up: Literal["y", "z"], top: list[int]) -> None:
-    bake_volume("ball.ply", "ball.vdb", resolution=32, up=up, splats=DIRECT._replace(up="-y"))
+    bake_volume("ball.ply", "ball.vdb", resolution=32, up=up, splats=replace(DIRECT, up="-y"))
     volume = load("ball.vdb", Volume)
     density, colour = volume.grid("density"), volume.grid("Cd")
     coords = density.topology.coords
@@ -218,7 +218,7 @@ def test_the_axis_that_a_file_states_is_up_unless_another_is_given(ball: Splats,
     for name, splats, top in (
         ("z.ply", usual, [0.5, 0.5, 1]),  # z is blue
         ("old.ply", usual, [0.5, 0, 0.5]),
-        ("z.ply", usual._replace(up="-y"), [0.5, 0, 0.5]),
+        ("z.ply", replace(usual, up="-y"), [0.5, 0, 0.5]),
     ):
         octree = bake_octree(name, "a.svo.npz", resolution=16, splats=splats, steps=listener)
         assert_allclose(colour_at(octree, [0, 0, 1]), top, atol=0.15)
@@ -226,9 +226,11 @@ def test_the_axis_that_a_file_states_is_up_unless_another_is_given(ball: Splats,
     assert [line for line in listener.said if "points up" in line] == ["z.ply: z points up, as the file says"]
     # Splats that are not turned fit the cameras of their capture.
     with pytest.raises(UsageError, match="until -y is z"):
-        bake_octree("old.ply", "b.svo.npz", splats=usual, budget=Budget(20, "cameras.json"))
+        bake_octree("old.ply", "b.svo.npz", splats=usual, budget=Budget(min_psnr=20, cameras="cameras.json"))
     with pytest.raises(InvalidFile, match=r"cameras\.json"):
-        bake_octree("z.ply", "b.svo.npz", resolution=8, splats=usual, budget=Budget(20, "cameras.json"))
+        bake_octree(
+            "z.ply", "b.svo.npz", resolution=8, splats=usual, budget=Budget(min_psnr=20, cameras="cameras.json")
+        )
 
 
 def test_a_page_stands_as_the_file_states(ball: Splats, listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -288,9 +290,9 @@ def test_values_that_are_not_finite_are_told_with_the_name_of_the_file(ball: Spl
 @pytest.mark.usefixtures("ball")
 def test_a_missed_budget_is_measured_against_the_splats() -> None:
     with pytest.raises(BudgetMissed, match=r"^b.svo.npz: the picture has a mean PSNR of"):
-        bake_octree("ball.ply", "b.svo.npz", resolution=8, splats=DIRECT, budget=Budget(40))
+        bake_octree("ball.ply", "b.svo.npz", resolution=8, splats=DIRECT, budget=Budget(min_psnr=40))
     assert Path("b.svo.npz.rejected").exists()
-    bake_octree("ball.ply", "c.svo.npz", resolution=32, budget=Budget(20))
+    bake_octree("ball.ply", "c.svo.npz", resolution=32, budget=Budget(min_psnr=20))
 
 
 @pytest.mark.usefixtures("ball")
@@ -306,7 +308,7 @@ def test_other_commands_read_splats(listener: Listener, monkeypatch: pytest.Monk
 @pytest.mark.usefixtures("ball")
 def test_an_octree_is_refitted_to_splats() -> None:
     bake_octree("ball.ply", "direct.svo.npz", resolution=32, splats=DIRECT)
-    found = refit_file("direct.svo.npz", "fitted.svo.npz", RefitTarget(like="ball.ply", frames=12, edge=64))
+    found = refit_file("direct.svo.npz", "fitted.svo.npz", RefitReference(like="ball.ply", frames=12, edge=64))
     before, after = found.psnr
     assert after > before + 1
 
@@ -329,5 +331,7 @@ def test_options_without_effect_are_refused() -> None:
     with pytest.raises(UsageError, match="the voxels of splats are cubes; allowed: one number as `resolution`"):
         bake_octree("ball.ply", "b.svo.npz", resolution=(16, 16, 8))
     with pytest.raises(UsageError, match="splats are turned until -y is z, and `cameras` are not"):
-        bake_octree("ball.ply", "b.svo.npz", splats=SplatVoxels(up="-y"), budget=Budget(20, "cameras.json"))
+        bake_octree(
+            "ball.ply", "b.svo.npz", splats=SplatVoxels(up="-y"), budget=Budget(min_psnr=20, cameras="cameras.json")
+        )
     assert not Path("b.svo.npz").exists()

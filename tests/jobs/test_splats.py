@@ -12,11 +12,11 @@ import pytest
 
 from nerfbake import Splats, load
 from nerfbake.errors import BudgetMissed, MemoryLimit, Stopped, UsageError
-from nerfbake.jobs import SplatsModel, SplatsOptions, SplatsResult, bake_splats
+from nerfbake.jobs import SplatsOptions, SplatsResult, SplatsViews, bake_splats
 from nerfbake.stages import views_to_splats
 from tests.jobs.listener import Listener
 
-MODEL, RECIPE = SplatsModel(frames=4, edge=32), SplatsOptions(splats=200, epochs=2)
+PICTURES, OPTIONS = SplatsViews(frames=4, edge=32), SplatsOptions(splats=200, epochs=2)
 
 
 def test_ctrl_c_writes_the_current_splats(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,7 +32,7 @@ def test_ctrl_c_writes_the_current_splats(folder: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(views_to_splats, "fit_splats", interrupted)
     with pytest.raises(Stopped, match=r"a\.ply\.partial has the current state"):
-        bake_splats("a.npz", "a.ply", MODEL, recipe=RECIPE)
+        bake_splats("a.npz", "a.ply", PICTURES, options=OPTIONS)
     assert len(seen) == 3
     assert load("a.ply.partial", Splats).n > 10
     assert not (folder / "a.ply").exists()
@@ -45,7 +45,7 @@ def test_splats_that_cannot_be_measured_are_kept(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr("nerfbake.jobs.splats.measure_views", fail)
     with pytest.raises(MemoryLimit, match=r"^a\.ply: the pictures"):
-        bake_splats("a.npz", "a.ply", MODEL, recipe=RECIPE)
+        bake_splats("a.npz", "a.ply", PICTURES, options=OPTIONS)
     assert not Path("a.ply").exists()
     assert load("a.ply.partial", Splats).n > 10
 
@@ -53,8 +53,8 @@ def test_splats_that_cannot_be_measured_are_kept(monkeypatch: pytest.MonkeyPatch
 def test_a_missed_limit_is_reported_and_nothing_takes_the_name(folder: Path, listener: Listener) -> None:
     found: list[SplatsResult] = []
     with pytest.raises(BudgetMissed, match=r"a\.spz: the splats have .* dB on 8 pictures with alpha; allowed: 99 dB"):
-        bake_splats("a.npz", "a.spz", MODEL, recipe=RECIPE, min_psnr=99, steps=listener, report=found.append)
+        bake_splats("a.npz", "a.spz", PICTURES, options=OPTIONS, min_psnr=99, steps=listener, report=found.append)
     assert found[0].psnr < 99
     assert (folder / "a.spz.rejected").exists()
     with pytest.raises(UsageError, match="has no file extension for Gaussian splats"):
-        bake_splats("a.npz", "a.npz", MODEL)
+        bake_splats("a.npz", "a.npz", PICTURES)

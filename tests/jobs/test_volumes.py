@@ -16,7 +16,9 @@ from tests.jobs.listener import Listener
 @pytest.mark.parametrize("source", ["a.npz", "a.svo.pb"])
 @pytest.mark.usefixtures("folder")
 def test_a_tree_and_its_octree_make_the_same_volume(source: str, listener: Listener) -> None:
-    volume = bake_volume(source, "b.vdb", grids="density,sh", steps=listener, budget=Budget(50, "cameras.json"))
+    volume = bake_volume(
+        source, "b.vdb", grids="density,sh", steps=listener, budget=Budget(min_psnr=50, cameras="cameras.json")
+    )
     read = load("b.vdb", Volume)
     assert [grid.name for grid in read.grids] == [grid.name for grid in volume.grids]
     for one, other in zip(read.grids, volume.grids, strict=True):
@@ -39,7 +41,7 @@ def test_what_arguments_alone_can_tell_is_told_before_anything_is_read(folder: P
     with pytest.raises(UsageError, match="`grids` are 'fog'"):
         bake_volume("none", "b.vdb", grids="fog")
     with pytest.raises(UsageError, match="`min_psnr` needs an output file"):
-        bake_volume("none", Target("-", to="vdb"), budget=Budget(1))
+        bake_volume("none", Target("-", to="vdb"), budget=Budget(min_psnr=1))
     with pytest.raises(UsageError, match="`resolution` has no effect on an octree"):
         bake_volume("a.svo.pb", "b.vdb", resolution=3)
     assert not (folder / "b.vdb").exists()
@@ -47,5 +49,5 @@ def test_what_arguments_alone_can_tell_is_told_before_anything_is_read(folder: P
 
 def test_a_missed_budget_leaves_what_was_written_as_rejected(folder: Path) -> None:
     with pytest.raises(BudgetMissed):
-        bake_volume("a.npz", "b.vdb", grids="density", budget=Budget(90, "cameras.json"))
+        bake_volume("a.npz", "b.vdb", grids="density", budget=Budget(min_psnr=90, cameras="cameras.json"))
     assert [path.name for path in folder.glob("b.vdb*")] == ["b.vdb.rejected"]

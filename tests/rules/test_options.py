@@ -46,19 +46,17 @@ JOBS: dict[str, Callable[..., Any]] = {
 }
 # Arguments that a command builds from several options, or does not offer.
 COMPOSED = {
-    "again",
-    "album",
     "budget",
     "choice",
     "data",
     "goal",
     "look",
     "mesh",
+    "options",
     "photographs",
     "report",
     "splats",
     "steps",
-    "wish",
 }
 # Options that a command passes to its job in another form, or only under a condition.
 CONVERTED = {"background", "no_child", "up"}

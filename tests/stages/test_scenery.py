@@ -150,15 +150,15 @@ def _directions() -> Any:
 def test_a_room_is_fitted_with_its_walls() -> None:
     scene, posed = room(), cameras()
     views = pictures_of(scene, posed)
-    trained, judges = views.take([i for i in range(28) if i % 7 != 3]), views.take([3, 10, 17, 24])
-    *_, state = fit_field(trained, schedule=SCHEDULE, basis="SH1")
+    training, held_out = views.take([i for i in range(28) if i % 7 != 3]), views.take([3, 10, 17, 24])
+    *_, state = fit_field(training, schedule=SCHEDULE, basis="SH1")
     field = state.field()
     assert field.shells > 3
     made = build_field(field)
-    errors = [error.psnr for error in measure_views(made, judges, samples=2)]
+    errors = [error.psnr for error in measure_views(made, held_out, samples=2)]
     assert min(errors) > 20
     assert max(errors) > 30
-    for camera in judges.cameras.cameras[1:3]:
+    for camera in held_out.cameras.cameras[1:3]:
         true, found = (render_field(each, camera, background=WHITE).depth for each in (scene, made))
         assert np.isfinite(found).all()  # the walls are there
         assert np.median(np.abs(found / true - 1)) < 0.15

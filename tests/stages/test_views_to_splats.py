@@ -34,12 +34,12 @@ def pictures(cameras: object, field: object) -> Views:
 def scene() -> tuple[Splats, Views, Views, Views]:
     """Splats of a small field; views to fit to, other views to judge by, and those at twice the size."""
     field = build_field(sample_n3tree(resolution=16))
-    judges = orbit_cameras(field, frames=4, width=48, height=48)
+    held_out = orbit_cameras(field, frames=4, width=48, height=48)
     return (
         build_splats(field),
         pictures(scatter_cameras(field, frames=16, edge=48, zoom=1.1), field),
-        pictures(judges, field),
-        pictures(judges.chosen(size=(96, 96)), field),
+        pictures(held_out, field),
+        pictures(held_out.chosen(size=(96, 96)), field),
     )
 
 
@@ -48,11 +48,11 @@ def mean_psnr(splats: Splats, views: Views) -> float:
 
 
 def test_fitted_splats_are_better_in_other_views_and_sizes(scene: tuple[Splats, Views, Views, Views]) -> None:
-    splats, views, judges, large = scene
+    splats, views, held_out, large = scene
     before = splats.means.copy()
     *_, state = fit_splats(splats, views, epochs=8)
     fitted = state.splats()
-    assert mean_psnr(fitted, judges) > mean_psnr(splats, judges) + 3
+    assert mean_psnr(fitted, held_out) > mean_psnr(splats, held_out) + 3
     assert mean_psnr(fitted, large) > mean_psnr(splats, large) + 2
     assert_array_equal(splats.means, before)  # the input stays as it is
     assert (state.epoch, state.view) == (8, 0)

@@ -161,7 +161,7 @@ def compare_papers(
         tables.append(_beside(rows, list(folders), presets, source))
         notes += BESIDE_NOTES
     head = {"dataset": Path(dataset).resolve().name, "rays a pixel": "2x2", **environment("numpy", "numba", "nerfbake")}
-    others = [told for told in batch.machines if machine() not in told]
+    others = [other for other in batch.machines if machine() not in other]
     if others:
         head["fits also ran on"] = "; ".join(others)
     return PapersResult(Report(f"NeRF-Synthetic: {', '.join(folders)}", head, tables, NOTES + notes), batch)

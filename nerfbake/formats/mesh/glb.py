@@ -197,9 +197,9 @@ class _Looks:
         if "COLOR_0" in attributes:
             stored = self._document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))[:, :3]
             values, repaired = normalised(stored)
-            values, told = sound_colours(values, grey=float(to_linear(np.array(GREY))))
+            values, notes = sound_colours(values, grey=float(to_linear(np.array(GREY))))
             light = light * values
-            self.notes |= dict.fromkeys((*repaired, *told))
+            self.notes |= dict.fromkeys((*repaired, *notes))
         if isinstance(base.texture, dict):
             uvs = self._corners(base.texture, attributes, base.place)
             texture = None if uvs is None else self._texture(base.texture.get("index"))

@@ -311,8 +311,8 @@ class _Text:
         if wrong.any():
             first = int(wrong.argmax())
             face = np.searchsorted(self.lines(b"f"), lines[line[have][first]])
-            told = f"face {face + 1:,} has the {word.decode()} index {numbers[first]}"
-            raise self._fault(told, f"1 to {count:,}, or -1 and below")
+            index_text = f"face {face + 1:,} has the {word.decode()} index {numbers[first]}"
+            raise self._fault(index_text, f"1 to {count:,}, or -1 and below")
         found[have] = index
         return found
 

@@ -92,8 +92,8 @@ def _tables(view: memoryview, header: wire.Header, notes: dict[str, None]) -> tu
     vertices = header.elements[names.index("vertex")].rows
     if header.kind == wire.TEXT:
         after = sum(element.rows * len(element.properties) for element in later)
-        rows, told = parse_text(body, elements, lists, after)
-        notes |= dict.fromkeys(told)
+        rows, more = parse_text(body, elements, lists, after)
+        notes |= dict.fromkeys(more)
         tables = {each.name: _text_rows(each, found) for each, found in zip(elements, rows, strict=True)}
     else:
         octets = np.frombuffer(body, np.uint8)
@@ -324,8 +324,8 @@ def _colours(rows: Any, header: wire.Header, notes: dict[str, None]) -> npt.NDAr
     if white == [65_535] * 3 and are_bytes_in_shorts(values):
         white = [255] * 3
         notes["colours of 16 bits go to 255 only, and are read as those of 8 bits"] = None
-    colours, told = sound_colours(values / white, scaled=white != [1] * 3)
-    notes |= dict.fromkeys(told)
+    colours, more = sound_colours(values / white, scaled=white != [1] * 3)
+    notes |= dict.fromkeys(more)
     return colours.astype(np.float32)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from nerfbake.errors import format_size
 from nerfbake.formats.picture import png
 from nerfbake.formats.wire.page import END, beginning, figure, picture, table, text
-from nerfbake.scene.camera import rays_told
+from nerfbake.scene.camera import rays_text
 from nerfbake.scene.comparison import AMPLIFIED, Comparison, Verdict
 from nerfbake.scene.image import Image
 
@@ -66,7 +66,7 @@ def _document(comparison: Comparison, sides: Sides, verdicts: list[Verdict]) -> 
 {_tiles(comparison, sides)}
 <h2>What was compared</h2>
 <div class="facts">{table(["", "A", "B"], _facts(sides))}</div>
-<h2>Pictures{rays_told(comparison.samples)}</h2>
+<h2>Pictures{rays_text(comparison.samples)}</h2>
 <div class="pairs">{"".join(map(_pair, repeat(comparison), comparison.means))}</div>
 <h2>Values of A and B</h2>
 {_values(comparison)}

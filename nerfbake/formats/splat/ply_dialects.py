@@ -54,8 +54,8 @@ def with_halves(rows: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], tuple[str, ..
     if not halves:
         return rows, ()
     changed = [(name, kind.str.replace("u2", "f2") if name in halves else kind) for name, kind in kinds]
-    told = ", ".join(halves[:3]) + (f" and {len(halves) - 3} more" if len(halves) > 3 else "")
-    return rows.view(np.dtype(changed)), (f"the properties of type ushort are read as half floats: {told}",)
+    names = ", ".join(halves[:3]) + (f" and {len(halves) - 3} more" if len(halves) > 3 else "")
+    return rows.view(np.dtype(changed)), (f"the properties of type ushort are read as half floats: {names}",)
 
 
 class Movement(NamedTuple):
@@ -76,7 +76,7 @@ def movement_of(properties: Mapping[str, Sequence[str]]) -> Movement:
         raise InvalidFile(
             Problem("f_dc_0 to f_dc_8", found, "colours, in f_dc_0 to f_dc_2 alone, as in its lite model")
         )
-    kinds = [told for pattern, told in _MOVING if any(pattern.fullmatch(name) for name in names)]
+    kinds = [kind for pattern, kind in _MOVING if any(pattern.fullmatch(name) for name in names)]
     times = any(re.fullmatch(r"trbf_center|t(?:_0)?|time", name) for name in names)
     if frames := sum(name.startswith("delta_vertex_") for name in properties if _FRAME.fullmatch(name)):
         kinds.append(f"{frames} frame{'s' if frames > 1 else ''} of elements delta_vertex_*")

@@ -121,8 +121,8 @@ def _head(view: memoryview) -> _Head:
     # A real file has 8 bytes or more for each splat, because the low bytes of coordinates are noise. Without a limit,
     # 150 kB that say nothing would take ten seconds and a gigabyte.
     if found.n > max(_MANY, _MOST_PER_BYTE * len(view)):
-        told = f"has {len(view):,} bytes for {found.n:,} splats"
-        raise InvalidFile(Problem("the .spz", told, f"{_MOST_PER_BYTE} splats a byte at most"))
+        text = f"has {len(view):,} bytes for {found.n:,} splats"
+        raise InvalidFile(Problem("the .spz", text, f"{_MOST_PER_BYTE} splats a byte at most"))
     return found
 
 
@@ -139,7 +139,7 @@ def decode(view: memoryview) -> Splats:
         parts, extensions, notes = _streams(view, head)
     n = len(parts[1])
     B = BASES[head.degree]
-    system, told = _axes(extensions)
+    system, more = _axes(extensions)
     positions, alphas, colours, scales, rotations, coefficients = (np.frombuffer(part, np.uint8) for part in parts)
     places = positions.reshape(n, -1)
     turns = rotations.reshape(n, -1)
@@ -157,7 +157,7 @@ def decode(view: memoryview) -> Splats:
         )
 
     antialiased = bool(head.flags & _ANTIALIASED)
-    splats = splats_in_blocks(n, B, rows, antialiased=antialiased, notes=(*notes, *told))
+    splats = splats_in_blocks(n, B, rows, antialiased=antialiased, notes=(*notes, *more))
     if system == "RUB":
         memory.hold("the splats", splats_size(n, B))
         return splats.flipped()

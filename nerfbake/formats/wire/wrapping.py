@@ -53,8 +53,8 @@ def unwrap_zip(view: memoryview, endings: Sequence[tuple[str, ...]]) -> Wrapped 
     for group in endings:
         found = [name for name in names if name.lower().removesuffix(_ENDING).endswith(group)]
         if len(found) > 1:
-            told = ", ".join(sorted(found)[:_SHOWN])
-            raise InvalidFile(Problem("the archive", f"has {len(found):,} scenes: {told[:120]}", "one scene"))
+            listed = ", ".join(sorted(found)[:_SHOWN])
+            raise InvalidFile(Problem("the archive", f"has {len(found):,} scenes: {listed[:120]}", "one scene"))
         if found:
             folder, slash, name = found[0].rpartition("/")
             files = ZipFolder(view, "a zip archive").below(folder + slash)

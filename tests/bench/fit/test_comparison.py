@@ -112,7 +112,9 @@ def test_the_figures_are_those_of_the_written_file_on_all_test_views(
     assert run([*words, "--format", "json"]) == 0
     facts = read_output("bench", capsys.readouterr().out)
     (fit,) = facts["tables"][0]["rows"]
-    views = read_photographs(SILENT, Source(str(dataset / "lego")), PhotographOptions((1.0, 1.0, 1.0))).judges
+    views = read_photographs(
+        SILENT, Source(str(dataset / "lego")), PhotographOptions(background=(1.0, 1.0, 1.0))
+    ).held_out
     errors = measure_views(build_field(load(state / "lego.fast.npz", N3Tree)), views, samples=2)
     assert [error.name for error in errors] == ["0000", "0001"]
     assert fit["PSNR dB"] == f"{sum(error.psnr for error in errors) / 2:.2f}"
