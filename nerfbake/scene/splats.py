@@ -26,6 +26,10 @@ _EVEN = 1e-4  # how far a transform may be from a rotation or reflection times o
 
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 UPS: tuple[Up, ...] = ("x", "-x", "y", "-y", "z", "-z")
+# Where x, y and z of a file point, see splat_axes.py; in the order of their numbers in a .spz, from 1.
+Axes = Literal[
+    "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF", "LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"
+]  # fmt: skip
 # By the axis that points up: the rotation that makes it -y.
 _TO_Y_DOWN: dict[Up, list[list[int]]] = {
     "x": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
@@ -54,9 +58,10 @@ class Splats(Scene):
     left_out     what of the file was not read, a few words each; notes say what that means
     origin       (3,) float64: the point of the world that the means are relative to; 0 for all files but those far from
                  it, see scene/origin.py. Cameras and boxes of stages are relative to it, too
+    axes         the axes in which the file was read, one of scene/splat_axes.py; None: its numbers are the world's
 
     The world is that of the training program, usually with y down and z forward: a .ply holds it as it is. Readers of
-    formats whose y points up change the signs of y and z.
+    formats with other axes turn them.
 
     >>> import numpy as np
     >>> from nerfbake import Splats
@@ -77,6 +82,7 @@ class Splats(Scene):
     up: Up | None = None
     left_out: tuple[str, ...] = ()
     origin: Floats = field(default_factory=no_origin)
+    axes: Axes | None = None
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -129,21 +135,28 @@ class Splats(Scene):
         found = f"had {plural(self.dropped, 'row')} that cannot be drawn, which were left out"
         return [Problem("the file", found, "finite numbers, and quaternions other than 0")]
 
-    def flipped(self) -> Splats:
-        """Return the splats with y and z in the opposite directions: half a turn about x, exact to the bit.
+    def flipped(self, signs: tuple[int, int, int] = (1, -1, -1)) -> Splats:
+        """Return the splats with the axes of sign -1 in the opposite direction, exact to the bit.
 
-        It leads from y down and z forward (.ply) to y up and z back (.spz, glTF), and from there to y down.
+        By default y and z change their signs, half a turn about x. It leads from y down and z forward (.ply) to y up
+        and z back, and from there to y down.
         """
+        x, y, z = signs
         degrees = [(degree, m) for degree in range(self.degree + 1) for m in range(-degree, degree + 1)]
-        # A basis function is odd in y if m < 0, and odd in z if degree and m differ by an odd number.
-        signs = np.array([(-1 if m < 0 else 1) * (-1) ** (degree - abs(m)) for degree, m in degrees], np.float32)
-        mirror = np.array([1, -1, -1], np.float32)
-        turn = np.array([1, 1, -1, -1], np.float32)
+        # A basis function is odd in y if m < 0, odd in z if degree and m differ by an odd number, and odd at the
+        # opposite point if its degree is odd.
+        odd = [
+            [(degree - abs(m) + degree + (m < 0)) % 2, int(m < 0), (degree - abs(m)) % 2] for degree, m in degrees
+        ]
+        flips = np.array([x**a * y**b * z**c for a, b, c in odd], np.float32)
+        mirror = np.array(signs, np.float32)
+        # An ellipsoid equals its point reflection, so that any signs are those of a rotation.
+        turn = np.array([1, *(x * y * z * sign for sign in signs)], np.float32)
         return replace(
             self,
             means=self.means * mirror,
             quats=self.quats * turn,
-            sh=self.sh * signs[:, None],
+            sh=self.sh * flips[:, None],
             up=_turned_up(self.up, np.diag(mirror.astype(np.float64))),
             origin=self.origin * mirror + 0.0,
         )

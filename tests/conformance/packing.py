@@ -7,6 +7,7 @@ promised for the version that packed it, which stands beside it, and what unpack
 from __future__ import annotations
 
 import base64
+import gzip
 import io
 import json
 import platform
@@ -34,6 +35,8 @@ def packed_by(path: str) -> dict[str, str]:
     """The versions of what decides how a file of this name is packed; {} where nothing does but nerfbake."""
     name = PurePath(path).name
     found = {}
+    if name.endswith("_v3.spz"):
+        return {"deflate": version("deflate")}
     if name.endswith((".zst", ".spz")):
         found["zstd"] = ".".join(map(str, zstandard.ZSTD_VERSION))
     if name.endswith(PICTURES):
@@ -72,13 +75,14 @@ def _pictures(data: bytes) -> Any:
 
 
 def _streams(data: bytes) -> Any:
-    """The header of a .spz, and what its streams hold."""
-    sizes = struct.unpack_from(f"<{2 * data[15]}Q", data, 32)
-    found, at = [], 32 + 16 * data[15]
+    """The header and the extensions of a .spz, and what its streams hold."""
+    toc = int.from_bytes(data[16:20], "little")
+    sizes = struct.unpack_from(f"<{2 * data[15]}Q", data, toc)
+    found, at = [], toc + 16 * data[15]
     for packed in sizes[::2]:
         found.append(zstandard.ZstdDecompressor().decompressobj().decompress(data[at : at + packed]))
         at += packed
-    return data[:32], found, len(data) - at
+    return data[:toc], found, len(data) - at
 
 
 def _depth(data: bytes) -> Any:
@@ -126,6 +130,7 @@ _UNPACK: dict[str, Callable[[bytes], Any]] = {
     ".gif": _pictures,
     ".html": _page,
     ".glb": _glb,
+    "_v3.spz": gzip.decompress,
     ".spz": _streams,
     "_deflate.svoq": _numbers,
     "_zip.vdb": _plain("vdb"),

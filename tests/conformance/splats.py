@@ -46,8 +46,15 @@ def cases() -> Iterator[Case]:
     for name, sh in (("sh0", [[dc] for dc in DC]), ("sh4", [[dc, *rest] for dc, rest in zip(DC, REST, strict=True)])):
         facts: Facts = {**PLAIN, "sh": sh}
         scene = scene_of(facts)
-        forms = {"ply": ply, "spz": spz, "glb": glb}
-        files = {f"splat/{name}.{ending}": Frozen(form, scene) for ending, form in forms.items()}
+        files = {
+            f"splat/{name}.ply": Frozen(ply, scene),
+            # Written before .spz named their axes, and .glb had their front at +z.
+            f"splat/{name}.spz": Frozen(spz, None, data=(HOME / f"splat/{name}.spz").read_bytes()),
+            f"splat/{name}.glb": Frozen(glb, None, data=(HOME / f"splat/{name}.glb").read_bytes()),
+            f"splat/{name}_axes.spz": Frozen(spz, scene),
+            f"splat/{name}_v3.spz": Frozen(spz, scene, {"axes": "RDF", "version": 3}),
+            f"splat/{name}_front.glb": Frozen(glb, scene),
+        }
         yield Case(f"splat/{name}", "Two Gaussian splats.", files, facts, answer, stored=1e-6)
     facts = {**BYTES, "sh": [[dc] for dc in DC8]}
     above = {**facts, "sh": [[[value + 1e-5 for value in dc]] for dc in DC8]}  # it rounds colours down

@@ -9,10 +9,11 @@ A primitive of points has an accessor for each attribute:
     KHR_gaussian_splatting:SH_DEGREE_l_COEF_m            red green blue; m = 0 to 2 l, l = 0 to 3
     COLOR_0                                              colour of degree 0 for viewers of points, linear
 
-formats/mesh/glb.py describes the container. glTF's y is up; y and z change their signs here, as in a .spz. The matrices
+formats/mesh/glb.py describes the container. glTF's x points left, y up and z to the front; x and y change their signs
+here. Files of nerfbake without "nerfbake_front" in the extras of the asset have x right, y up and z back. The matrices
 of the nodes move the splats and their colours. The origin of splats far from 0 is the translation of their node.
 
-Source: KhronosGroup/glTF, KHR_gaussian_splatting.
+Source: KhronosGroup/glTF, KHR_gaussian_splatting; glTF 2.0, section 3.4.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import transform_points
 from nerfbake.kernels.picture.metrics import to_linear
 from nerfbake.scene.origin import choose_origin
-from nerfbake.scene.splats import BASES, MOVING, SplatRows, Splats, join_splats, splats_in_blocks
+from nerfbake.scene.splat_axes import from_axes, to_axes
+from nerfbake.scene.splats import BASES, MOVING, Axes, SplatRows, Splats, join_splats, splats_in_blocks
 
 EXTENSION = "KHR_gaussian_splatting"
 MOST_DEGREE = 3
@@ -48,7 +50,11 @@ _POINTS = 0
 _FLOAT, _BYTE, _VERTICES = 5126, 5121, 34962
 _DISPLAY, _LINEAR = "srgb_rec709_display", "lin_rec709_display"
 _ANTIALIASED = "nerfbake_antialiased"
+_FRONT, _PLUS_Z = "nerfbake_front", "+z"  # in the extras of the asset; files of before turned the scene to -z
+_GLTF: Axes = "LUF"
+_OF_BEFORE: Axes = "RUB"
 _MANY = 1000  # primitives
+_OURS = "nerfbake"  # generator
 _GENERATOR = re.compile(r"splat-transform ([0-9]{1,4})\.([0-9]{1,4})")
 _LINEAR_SINCE = (2, 7)  # playcanvas/splat-transform#268
 _LOOKED_AT = 1 << 15  # splats
@@ -93,8 +99,16 @@ def decode(view: memoryview) -> Splats:
     if not parts:
         raise malformed("the .glb", "has no splats", f"a primitive with {EXTENSION} in the scene")
     memory.hold("the splats", 2 * sum(memory.size_of(part) for part, _ in parts))
-    whole = replace(_placed(parts).flipped(), left_out=("meshes",) * bool(notes))
+    whole = replace(from_axes(_placed(parts), _axes(document.root.get("asset"))), left_out=("meshes",) * bool(notes))
     return replace(whole, notes=(*whole.notes, *notes))
+
+
+def _axes(asset: Any) -> Axes:
+    """Return the axes of a file: those of glTF, but for files of nerfbake before it turned the front to +z."""
+    if not isinstance(asset, dict) or asset.get("generator") != _OURS:
+        return _GLTF
+    extras = asset.get("extras")
+    return _GLTF if isinstance(extras, dict) and extras.get(_FRONT) == _PLUS_Z else _OF_BEFORE
 
 
 def _placed(parts: list[tuple[Splats, Floats]]) -> Splats:
@@ -207,7 +221,7 @@ def _scale_kind(scales: npt.NDArray[Any], asset: Any) -> tuple[bool, str]:
         return True, f"its scales are logarithms, as {version[0]} wrote them"
     if bool((scales < 0).any()):
         return True, "its scales are logarithms, as in an early draft of the extension"
-    if version is not None or generator.startswith("nerfbake"):
+    if version is not None or generator.startswith(_OURS):
         return False, ""
     some = scales[:: max(1, len(scales) // _LOOKED_AT)].astype(np.float64)
     low, high = (
@@ -226,7 +240,7 @@ def encode(scene: Splats) -> Iterator[bytes]:
     if scene.degree > MOST_DEGREE:
         raise InvalidScene(Problem("sh", f"has degree {scene.degree}", f"0 to {MOST_DEGREE} in a .glb"))
     scene.require_usable()
-    scene = scene.flipped()
+    scene = to_axes(scene, _GLTF)
     n = scene.n
     bounds = {"min": scene.means.min(axis=0).tolist(), "max": scene.means.max(axis=0).tolist()}
     fields: list[tuple[str, str, int, dict[str, Any]]] = [
@@ -254,7 +268,7 @@ def encode(scene: Splats) -> Iterator[bytes]:
     if scene.antialiased:
         primitive["extras"] = {_ANTIALIASED: True}
     document = {
-        "asset": {"version": "2.0", "generator": "nerfbake"},
+        "asset": {"version": "2.0", "generator": _OURS, "extras": {_FRONT: _PLUS_Z}},
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],

@@ -1,4 +1,4 @@
-r"""Read Gaussian splats from .spz files (versions 1 to 4), and write version 4.
+r"""Read Gaussian splats from .spz files (versions 1 to 4), and write versions 3 and 4.
 
     0     4        8   12     13    14    15       16          20       32
     "NGSP"|version |n  |degree|bits |flags|streams |toc offset |12 x 0  | extensions | toc | streams   version 4
@@ -15,13 +15,14 @@ toc: two u64 for each stream, its packed and unpacked size. A stream is zstd; th
     sh         (u8 - 128) / 128, coefficient by coefficient, red green blue inside
 
 Extensions: u32 type, u32 size, payload, one behind the other; in versions 1 to 3 behind the attributes. Only
-0xADBE0003, which names the axes of the file, changes how it is read.
+0xADBE0003, which names the axes of the file (u32, 1 to 16, see scene/splat_axes.py; 0: not named), changes how it is
+read. It is always written.
 
 Flags: 1 antialiased, 2 extensions, 0x80 levels of detail. Spark's build-lod writes these in versions 2 and 3: parents
 are further rows, all opacities are halved, and behind the attributes are u16 the number of children of each row, then
 u32 its first child.
 
-A file's y is up and its z points back; y and z change their signs here, and so do quaternions and SH.
+Without names, x points right, y up and z back. Then y and z change their signs here, and so do quaternions and SH.
 
 Source: nianticlabs/spz (load-spz.cc, coordinate-system-adobe.cc); sparkjsdev/spark (spark-lib, spz.rs).
 """
@@ -30,7 +31,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,11 +39,12 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.splat.ply import with_largest
-from nerfbake.formats.wire.deflate import MAX_INFLATION, gunzip, gunzip_start
+from nerfbake.formats.wire.deflate import MAX_INFLATION, gunzip, gunzip_start, gzip_whole
 from nerfbake.formats.wire.zstd import compress, decompress_exactly
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import exp, log
-from nerfbake.scene.splats import BASES, MOVING, SplatRows, Splats, splats_in_blocks, splats_size
+from nerfbake.scene.splat_axes import AXES, from_axes, to_axes
+from nerfbake.scene.splats import BASES, Axes, SplatRows, Splats, splats_in_blocks
 
 _MAGIC = b"NGSP"
 _GZIP = b"\x1f\x8b"
@@ -56,16 +58,13 @@ _A_NODE = 6  # bytes of a row in the tree of levels of detail
 _MANY = 1 << 16  # splats that a file of any size may have
 _MOST_PER_BYTE = 16  # splats
 _COORDINATE_SYSTEM = 0xADBE0003
-# By number the directions of x, y and z: left or right, up or down, forward or back. 0: not specified, as RUB.
-_SYSTEMS = (
-    *("RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
-    *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
-)
-_DIRECTIONS = {"L": (-1, 0, 0), "R": (1, 0, 0), "U": (0, -1, 0), "D": (0, 1, 0), "B": (0, 0, -1), "F": (0, 0, 1)}
+_USUAL: Axes = "RUB"
+_UNNAMED = "axes not named; read as right, up, back (SPZ's README)"
 _MOST_BITS = 23  # fractional bits
 _LARGEST = (1 << 23) - 1
 _LEAST = 1e-30  # scale whose logarithm is taken for 0
 _STEPS = (0, 8, 16, 16, 16)  # by degree, between the codes of SH in a small file: 5 bits, then 4
+_MOST_OF_3 = 3  # degree that readers of version 3 know
 MOST_DEGREE = 4
 KEEPS_ORIGIN = False
 _ALLOWED = "a whole .spz"
@@ -158,11 +157,7 @@ def decode(view: memoryview) -> Splats:
 
     antialiased = bool(head.flags & _ANTIALIASED)
     splats = splats_in_blocks(n, B, rows, antialiased=antialiased, notes=(*notes, *more))
-    if system == "RUB":
-        memory.hold("the splats", splats_size(n, B))
-        return splats.flipped()
-    memory.hold("the splats", splats_size(n, B) + MOVING * n)
-    return splats.transformed(np.array([*(_DIRECTIONS[letter] for letter in system), (0, 0, 0)], np.float64).T)
+    return from_axes(splats, system)
 
 
 def _attributes(view: memoryview, head: _Head) -> tuple[list[memoryview], memoryview, list[str]]:
@@ -209,9 +204,10 @@ def _leaves(parts: list[memoryview], tree: memoryview, n: int) -> tuple[list[mem
     return [memoryview(np.ascontiguousarray(each).reshape(-1).data) for each in chosen], note
 
 
-def _axes(extensions: memoryview) -> tuple[str, tuple[str, ...]]:
-    """Return the directions of the axes, and a note for each extension. Raises InvalidFile."""
-    system, at = "RUB", 0
+def _axes(extensions: memoryview) -> tuple[Axes, tuple[str, ...]]:
+    """Return the axes of the file, and a note for each extension. Raises InvalidFile."""
+    system: Axes | None = None
+    at = 0
     notes: list[str] = []
     while at + 8 <= len(extensions):
         kind, size = struct.unpack_from("<II", extensions, at)
@@ -224,12 +220,15 @@ def _axes(extensions: memoryview) -> tuple[str, tuple[str, ...]]:
             notes.append(f"extension 0x{kind:08X} is left out")
             continue
         number = int.from_bytes(payload[:4], "little")
-        if size != 4 or number >= len(_SYSTEMS):
+        if size != 4 or number > len(AXES):
             found = f"has {size:,} bytes, with {number}"
-            raise InvalidFile(Problem("the extension of the axes", found, f"4 bytes, with 0 to {len(_SYSTEMS) - 1}"))
-        system = _SYSTEMS[number]
-        notes.append(f"an extension says that the axes of the file are {system} instead of RUB")
-    return system, tuple(dict.fromkeys(notes))
+            raise InvalidFile(Problem("the extension of the axes", found, f"4 bytes, with 0 to {len(AXES)}"))
+        system = AXES[number - 1] if number else None
+        if system not in (None, _USUAL):
+            notes.append(f"an extension says that the axes of the file are {system} instead of {_USUAL}")
+    if system is None:
+        notes.append(_UNNAMED)
+    return system or _USUAL, tuple(dict.fromkeys(notes))
 
 
 def _streams(view: memoryview, head: _Head) -> tuple[list[memoryview], memoryview, list[str]]:
@@ -294,14 +293,22 @@ def _first_rotations(data: npt.NDArray[np.uint8]) -> Floats:
     return np.concatenate([three, np.sqrt(np.maximum(0, 1 - (three * three).sum(axis=1, keepdims=True)))], axis=1)
 
 
-def encode(scene: Splats, *, small: bool = False) -> Iterator[bytes]:
-    """Encode splats in version 4, with as many fractional bits as the farthest mean allows.
+def encode(
+    scene: Splats, *, small: bool = False, axes: Axes = _USUAL, version: Literal[3, 4] = 4
+) -> Iterator[bytes]:
+    """Encode splats, with as many fractional bits as the farthest mean allows.
 
-    small: store SH as Niantic's own writer does, in 5 bits for degree 1 and 4 bits above, which zstd packs into fewer
-    bytes; otherwise in 8 bits. Raises InvalidScene for means beyond 2^23.
+    small    store SH as Niantic's own writer does, in 5 bits for degree 1 and 4 bits above, which are packed into fewer
+             bytes; otherwise in 8 bits
+    axes     of the file, which an extension names
+    version  3: gzip, for readers that do not know 4
+
+    Raises InvalidScene for means beyond 2^23, and for SH of degree 4 in version 3.
     """
+    if version == 3 and scene.degree > _MOST_OF_3:
+        raise InvalidScene(Problem("sh", f"has degree {scene.degree}", f"0 to {_MOST_OF_3} in version 3 of a .spz"))
     scene.require_usable()
-    scene = scene.flipped()
+    scene = to_axes(scene, axes)
     n, B = scene.n, scene.B
     far = float(np.abs(scene.means).max())
     if far > _LARGEST:
@@ -322,9 +329,14 @@ def encode(scene: Splats, *, small: bool = False) -> Iterator[bytes]:
         _bytes(rest),
     )
     parts = [array.tobytes() for array in arrays if array.size]
+    flags = _EXTENDED | (_ANTIALIASED if scene.antialiased else 0)
+    extension = struct.pack("<III", _COORDINATE_SYSTEM, 4, AXES.index(axes) + 1)
+    head = _HEAD.pack(_MAGIC, version, n, scene.degree, bits, flags, len(parts) if version == 4 else 0)
+    if version == 3:
+        yield gzip_whole([head, *parts, extension])
+        return
     packed = [b"".join(compress([part])) for part in parts]
-    flags = _ANTIALIASED if scene.antialiased else 0
-    yield _HEAD.pack(_MAGIC, 4, n, scene.degree, bits, flags, len(parts)) + struct.pack("<I12x", _WHOLE_HEAD)
+    yield head + struct.pack("<I12x", _WHOLE_HEAD + len(extension)) + extension
     for part, stream in zip(parts, packed, strict=True):
         yield struct.pack("<QQ", len(stream), len(part))
     yield from packed

@@ -45,6 +45,11 @@ def deflate_best(data: bytes | memoryview) -> bytes:
     return bytes(libdeflate.zlib_compress(data, BEST_LEVEL))
 
 
+def gzip_whole(pieces: Iterable[bytes | memoryview]) -> bytes:
+    """Compress pieces to one gzip stream without a time and a name, with libdeflate."""
+    return bytes(libdeflate.gzip_compress(b"".join(pieces), WHOLE_LEVEL))
+
+
 def deflate_all(pieces: Iterable[bytes | memoryview]) -> bytes:
     """Compress pieces to one zlib stream with zlib-ng, one piece at a time."""
     packer = zlib_ng.compressobj(LEVEL)

@@ -23,6 +23,7 @@ from tests.support.meshes import cube
 from tests.support.splats import splats
 
 NAME = "KHR_gaussian_splatting"
+TO_GLTF = (-1, -1, 1)  # x left, y up, z to the front
 Document = dict[str, Any]
 
 
@@ -91,10 +92,10 @@ def placed(document: Document, body: bytes) -> np.ndarray:
 
 def test_a_node_far_from_0_keeps_its_digits(tmp_path: Path) -> None:
     scene = splats(30, degree=1)
-    there = scene.means * [1, -1, -1] + UTM  # glTF's axes
+    there = scene.means * [-1, -1, 1] + UTM  # glTF's axes
     data = changed(written(scene), lambda document: document["nodes"][0].update(translation=UTM.tolist()))
     found = decoded(data)
-    np.testing.assert_allclose(found.means + found.origin, there * [1, -1, -1], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.means + found.origin, there * [-1, -1, 1], rtol=0, atol=1e-6)
     save(tmp_path / "a.glb", found)
     np.testing.assert_allclose(placed(*parts_of((tmp_path / "a.glb").read_bytes())), there, rtol=0, atol=1e-6)
     clouds: Any = trimesh.load(tmp_path / "a.glb")  # trimesh reads the points without the extension
@@ -114,10 +115,10 @@ def test_nodes_share_one_origin_and_compose_in_float64() -> None:
         ]
 
     found = decoded(changed(written(scene), place))
-    own = scene.means * [1, -1, -1]
+    own = scene.means * [-1, -1, 1]
     there = np.concatenate([2 * own, 2 * (own * [-1, 1, -1] + [0.5, 0, 1.25])]) + UTM
-    np.testing.assert_allclose(found.means + found.origin, there * [1, -1, -1], rtol=0, atol=1e-5)
-    assert np.abs(found.origin - UTM * [1, -1, -1]).max() < 10
+    np.testing.assert_allclose(found.means + found.origin, there * [-1, -1, 1], rtol=0, atol=1e-5)
+    assert np.abs(found.origin - UTM * [-1, -1, 1]).max() < 10
 
 
 def test_a_node_near_0_or_without_digits_is_read_as_before() -> None:
@@ -148,21 +149,21 @@ def test_what_the_file_says_by_hand() -> None:
         "sortingMethod": "cameraDistance",
         "projection": "perspective",
     }
-    # y is up and z points back in glTF: the world's y points down and its z forward.
+    # x is left, y up and z forward in glTF: the world's x points right and its y down.
     expected = {
-        "POSITION": [1, -2, -3],
-        f"{NAME}:ROTATION": [0.5, -0.5, -0.5, 0.5],  # x y z w
+        "POSITION": [-1, -2, 3],
+        f"{NAME}:ROTATION": [-0.5, -0.5, 0.5, 0.5],  # x y z w
         f"{NAME}:SCALE": [4, 5, 6],
         f"{NAME}:OPACITY": [0.5],
         f"{NAME}:SH_DEGREE_0_COEF_0": [0, 1, 2],
         f"{NAME}:SH_DEGREE_1_COEF_0": [-3, -4, -5],  # of y
-        f"{NAME}:SH_DEGREE_1_COEF_1": [-6, -7, -8],  # of z
-        f"{NAME}:SH_DEGREE_1_COEF_2": [9, 10, 11],  # of x
+        f"{NAME}:SH_DEGREE_1_COEF_1": [6, 7, 8],  # of z
+        f"{NAME}:SH_DEGREE_1_COEF_2": [-9, -10, -11],  # of x
         "COLOR_0": [round(0.214 * 255), round(0.574 * 255), 255, 128],  # 1/2 and 0.782 and more than 1, linear
     }
     assert {name: accessor(document, body, name)[0].tolist() for name in primitive(document)["attributes"]} == expected
     bounds = document["accessors"][0]
-    assert (bounds["min"], bounds["max"]) == ([1, -2, -3], [1, -2, -3])
+    assert (bounds["min"], bounds["max"]) == ([-1, -2, 3], [-1, -2, 3])
     assert all(view["byteOffset"] % 4 == 0 for view in document["bufferViews"])
 
 
@@ -185,7 +186,7 @@ def test_the_matrices_of_nodes_move_splats_and_colours() -> None:
         document["nodes"] = [{"children": [1, 2]}, {"mesh": 0, "matrix": matrix.T.reshape(-1).tolist()}, {"mesh": 0}]
 
     found = decoded(changed(written(scene), change))
-    moved = scene.flipped().transformed(matrix[:3]).flipped()
+    moved = scene.flipped(TO_GLTF).transformed(matrix[:3]).flipped(TO_GLTF)
     assert found.n == 40
     for name in ("means", "scales", "quats", "opacity", "sh"):
         assert np.array_equal(getattr(found, name), np.concatenate([getattr(moved, name), getattr(scene, name)])), name
@@ -203,7 +204,7 @@ def test_quantised_attributes_are_read() -> None:
         entry |= {"bufferView": len(document["bufferViews"]) - 1, "componentType": component, "normalized": normalised}
         body += values.tobytes() + bytes(-values.nbytes % 4)
 
-    quats = scene.flipped().quats[:, [1, 2, 3, 0]]
+    quats = scene.flipped(TO_GLTF).quats[:, [1, 2, 3, 0]]
     replaced("ROTATION", np.rint(quats * 32767).astype("<i2"), 5122, normalised=True)
     replaced("OPACITY", np.rint(scene.opacity * 65535).astype("<u2")[:, None], 5123, normalised=True)
     document["buffers"][0]["byteLength"] = len(body)
@@ -308,7 +309,7 @@ def test_trimesh_shows_the_splats_as_coloured_points() -> None:
     scene = splats(40, degree=1)
     loaded: Any = trimesh.load(io.BytesIO(written(scene)), file_type="glb")
     (points,) = loaded.geometry.values()
-    np.testing.assert_allclose(points.vertices, scene.flipped().means, atol=1e-6)
+    np.testing.assert_allclose(points.vertices, scene.flipped(TO_GLTF).means, atol=1e-6)
     shown = np.clip(scene.sh[:, 0] * 0.28209479 + 0.5, 0, 1)
     linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
     np.testing.assert_allclose(points.colors[:, :3], linear * 255, atol=0.51)

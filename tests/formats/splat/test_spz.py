@@ -5,7 +5,9 @@ from __future__ import annotations
 import gzip
 import struct
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,16 +17,23 @@ from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.splat import spz
 from nerfbake.formats.wire.zstd import compress
 from nerfbake.kernels.march.sh import sh_basis
+from nerfbake.scene.splat_axes import AXES, directions_of, with_axes
+from nerfbake.scene.splats import Axes
 from tests.formats.splat.test_ply import assert_same, columns_of, converted
 from tests.support.hostile import refused_as_it_is
+from tests.support.splat_pictures import covariances
 from tests.support.splats import gzip_spz, spark_spz, splats
 
 # Terms of the SH whose sign changes if y and z change theirs, up to degree 3.
 SIGNS = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
 
 
-def written(scene: Splats) -> bytes:
-    return b"".join(spz.encode(scene))
+TOC = 44  # where the table of streams starts in a file of ours, behind the extension of the axes
+UNNAMED = "axes not named; read as right, up, back (SPZ's README)"
+
+
+def written(scene: Splats, **options: Any) -> bytes:
+    return b"".join(spz.encode(scene, **options))
 
 
 def turned(scene: Splats) -> Splats:
@@ -47,6 +56,13 @@ def assert_near(found: Splats, scene: Splats, *, place: float = 1e-6) -> None:
     np.testing.assert_allclose(found.sh[:, 0], scene.sh[:, 0], atol=0.5 / 255 / 0.15 + 1e-5)
     np.testing.assert_allclose(found.sh[:, 1:], scene.sh[:, 1:], atol=0.5 / 128 + 1e-6)
     assert found.antialiased == scene.antialiased
+
+
+def assert_same_shapes(found: Splats, scene: Splats, *, atol: float) -> None:
+    """The same ellipsoids, whose axes may come in another order."""
+    one, other = covariances(found), covariances(scene)
+    size = np.sqrt(np.einsum("nij,nij->n", other, other))[:, None, None]
+    np.testing.assert_allclose(one / size, other / size, atol=atol)
 
 
 def assert_same_turns(found: Splats, scene: Splats, least: float) -> None:
@@ -86,9 +102,8 @@ def extended(scene: Splats, extensions: bytes, version: int = 4) -> bytes:
         whole[14] |= 2
         return gzip.compress(whole)
     data = bytearray(written(scene))
-    data[14] |= 2
     data[16:20] = struct.pack("<I", 32 + len(extensions))
-    return bytes(data[:32] + extensions + data[32:])
+    return bytes(data[:32] + extensions + data[TOC:])
 
 
 # Directions of x, y, z in the world of a .ply, where x points right, y down and z forward.
@@ -102,6 +117,15 @@ SYSTEMS = {
 }
 
 
+def colours_along(scene: Splats, ways: np.ndarray) -> np.ndarray:
+    return np.einsum("db,nbc->ndc", sh_basis(ways, scene.B), scene.sh)
+
+
+def some_directions() -> np.ndarray:
+    ways = np.random.default_rng(1).normal(size=(9, 3))
+    return np.asarray(ways / np.linalg.norm(ways, axis=1, keepdims=True))
+
+
 @pytest.mark.parametrize("number", SYSTEMS)
 @pytest.mark.parametrize("version", [3, 4])
 def test_the_axes_that_an_extension_names_are_obeyed(number: int, version: int) -> None:
@@ -110,19 +134,72 @@ def test_the_axes_that_an_extension_names_are_obeyed(number: int, version: int) 
     found = spz.decode(memoryview(extended(scene, struct.pack("<III", 0xADBE0003, 4, number), version)))
     axes = np.array(SYSTEMS[number], np.float32)
     np.testing.assert_allclose(found.means, plain.means @ axes, atol=1e-6)
-    ways = np.random.default_rng(1).normal(size=(9, 3))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    before = np.einsum("db,nbc->ndc", sh_basis(ways, 9), plain.sh)
-    after = np.einsum("db,nbc->ndc", sh_basis(ways @ axes, 9), found.sh)
-    np.testing.assert_allclose(after, before, atol=1e-5)
-    (note,) = found.notes
-    assert note.startswith("an extension says that the axes of the file are ")
+    ways = some_directions()
+    np.testing.assert_allclose(colours_along(found, ways @ axes), colours_along(plain, ways), atol=1e-5)
+    assert found.axes == AXES[(number or 4) - 1]
+    if number == 0:
+        assert found.notes == (UNNAMED,)
+    elif number == 4:
+        assert found.notes == ()
+    else:
+        assert found.notes == (f"an extension says that the axes of the file are {found.axes} instead of RUB",)
+
+
+@pytest.mark.parametrize("axes", AXES)
+def test_any_axes_are_written_and_named(axes: Axes) -> None:
+    """The same splats come back; what another reader finds is in the named directions."""
+    scene = splats(30, degree=3)
+    data = written(scene, axes=axes)
+    assert struct.unpack_from("<III", data, 32) == (0xADBE0003, 4, AXES.index(axes) + 1)
+    found = spz.decode(memoryview(data))
+    np.testing.assert_allclose(found.means, scene.means, atol=1e-6)
+    assert_same_shapes(found, spz.decode(memoryview(written(scene))), atol=2e-2)
+    unnamed = data[:32] + struct.pack("<III", 0xADBE0003, 4, 6) + data[TOC:]  # read as right, down, forward: as stored
+    ways, directions = some_directions(), directions_of(axes).astype(np.float32)
+    stored = spz.decode(memoryview(unnamed))
+    np.testing.assert_allclose(stored.means, scene.means @ directions.T, atol=1e-6)
+    # A coefficient of the turned SH may be beyond 1, which the format cuts off.
+    inside = (np.abs(stored.sh[:, 1:]) < 0.98).all(axis=(1, 2))
+    assert inside.sum() > 5
+    close = np.abs(colours_along(stored, ways @ directions.T) - colours_along(scene, ways))[inside]
+    assert close.max() < 0.06
+    assert np.sqrt((close**2).mean()) < 0.015
+
+
+def test_named_axes_can_be_overruled() -> None:
+    scene = splats(30, degree=3)
+    as_stored = written(scene, axes="RDF")
+    wrong = spz.decode(memoryview(as_stored[:32] + struct.pack("<III", 0xADBE0003, 4, 4) + as_stored[TOC:]))
+    assert np.abs(wrong.means - scene.means).max() > 1
+    right = with_axes(wrong, "RDF")
+    assert_same(right, spz.decode(memoryview(as_stored)), atol=0)
+    assert (right.axes, with_axes(right, "RDF")) == ("RDF", right)
+    mirrored = with_axes(wrong, "LBU")
+    np.testing.assert_array_equal(mirrored.means, spz.decode(memoryview(
+        as_stored[:32] + struct.pack("<III", 0xADBE0003, 4, 15) + as_stored[TOC:]
+    )).means)  # fmt: skip
+
+
+def test_version_3_is_gzip_with_the_axes_behind_the_attributes(tmp_path: Path) -> None:
+    scene = splats(50, degree=3, antialiased=True)
+    (tmp_path / "a.spz").write_bytes(written(scene, version=3))
+    whole = gzip.decompress((tmp_path / "a.spz").read_bytes())
+    assert whole[:16] == struct.pack("<4sIIBBBB", b"NGSP", 3, 50, 3, whole[13], 3, 0)
+    assert len(whole) == 16 + 50 * (9 + 1 + 3 + 3 + 4 + 45) + 12
+    assert whole[-12:] == struct.pack("<III", 0xADBE0003, 4, 4)
+    found = load(tmp_path / "a.spz", Splats)
+    assert_same(found, spz.decode(memoryview(written(scene))), atol=0)
+    assert (found.antialiased, found.notes) == (True, ())
+    plain = replace(turned(found), antialiased=False)
+    assert_same(columns_of(converted(written(scene, version=3), "spz")), plain, atol=1e-5)
+    with pytest.raises(InvalidScene, match=r"sh has degree 4; allowed: 0 to 3 in version 3 of a \.spz"):
+        written(splats(2, degree=4), version=3)
 
 
 def test_other_extensions_are_left_out_with_a_note() -> None:
     scene = splats(3)
     found = spz.decode(memoryview(extended(scene, struct.pack("<IIfff", 0xADBE0002, 12, 1, 2, 3))))
-    assert found.notes == ("extension 0xADBE0002 is left out",)
+    assert found.notes == ("extension 0xADBE0002 is left out", UNNAMED)
     assert_near(found, scene)
 
 
@@ -197,7 +274,7 @@ def test_of_levels_of_detail_the_leaves_are_read_with_their_opacity(version: int
         assert np.array_equal(getattr(found, name), getattr(expected, name)[rows])
     np.testing.assert_allclose(found.opacity, scene.opacity[rows], atol=1 / 255)
     assert found.opacity[2] == 1
-    assert found.notes == ("of the levels of detail (flag 0x80), only the finest is read: 3 of 5 rows",)
+    assert found.notes == ("of the levels of detail (flag 0x80), only the finest is read: 3 of 5 rows", UNNAMED)
 
 
 @pytest.mark.data
@@ -213,7 +290,7 @@ def test_reserved_bytes_are_told() -> None:
     """They may once say what is not read."""
     whole = bytearray(gzip.decompress(gzip_spz(splats(2), 3)))
     whole[15] = 7
-    assert spz.decode(memoryview(whole)).notes == ("byte 15, which is reserved, is 7 and not 0",)
+    assert spz.decode(memoryview(whole)).notes == ("byte 15, which is reserved, is 7 and not 0", UNNAMED)
     whole = bytearray(written(splats(2)))
     whole[31] = 1
     assert spz.decode(memoryview(whole)).notes == ("bytes 20 to 31, which are reserved, are not 0",)
@@ -277,7 +354,7 @@ LIES: dict[str, tuple[bytes, str]] = {
     "no rows": (SOUND[:8] + bytes(4) + SOUND[12:], "have no rows"),
     "streams": (SOUND[:15] + b"\xff" + SOUND[16:], "has 255 streams; allowed: 6"),
     "toc": (SOUND[:16] + b"\xff" * 4 + SOUND[20:], "the table of streams is at byte 4,294,967,295"),
-    "a long stream": (SOUND[:32] + b"\xff" * 8 + SOUND[40:], "stream positions declares 18,446,744,073,709,551,615"),
+    "a long stream": (SOUND[:TOC] + b"\xff" * 8 + SOUND[TOC + 8 :], "stream positions declares 18,446,744,073,709,551,615"),
     "too few": (gzip.compress(header(3, 10) + bytes(100)), "holds 100 bytes of attributes; allowed: 200"),
     "cut gzip": (gzip_spz(splats(9), 3)[:60], "the .spz is cut off after"),
     "cut CRC": (gzip_spz(splats(9), 3)[:-5], "the .spz is cut off after"),
