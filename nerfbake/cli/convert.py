@@ -15,6 +15,7 @@ from nerfbake.cli.params import (
     source_argument,
     without_effect,
 )
+from nerfbake.cli.splat_files import splat_file_options
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
@@ -30,7 +31,7 @@ from nerfbake.jobs.files import Source, Target
 @grid_options(splats=True)
 @codec_option
 @click.option("--half", is_flag=True, help="Store the values of a volume as float16.")
-@click.option("--small", is_flag=True, help="Store SH of splats in 4 and 5 instead of 8 bits (.spz).")
+@splat_file_options
 @console_options
 def convert(source: Source, target: Target, console: Console, **options: Any) -> None:
     """Convert between formats, and report any loss.
@@ -52,6 +53,7 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
       nerfbake convert smoke.vdb smoke.svo.npz --grid density --up y
       nerfbake convert scene.ply scene.spz
       nerfbake convert scene.ply scene.glb --up z
+      nerfbake convert upside_down.spz scene.spz --in-axes RDF --spz-version 3
     """
 
     from nerfbake.jobs.conversions import convert_file, split_volume

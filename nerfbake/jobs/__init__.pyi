@@ -54,6 +54,7 @@ from .samples import write_sample_capture as write_sample_capture
 from .samples import write_sample_n3tree as write_sample_n3tree
 from .samples import write_sample_stage1 as write_sample_stage1
 from .shaders import write_shaders as write_shaders
+from .splat_choice import SplatChoice as SplatChoice
 from .splat_voxels import SplatVoxels as SplatVoxels
 from .splats import SplatsOptions as SplatsOptions
 from .splats import SplatsResult as SplatsResult

@@ -13,6 +13,7 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.grids import GridChoice, warn_about_halves
 from nerfbake.jobs.readings import Reading
+from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.lattice_field import LatticeField
@@ -38,7 +39,7 @@ def convert_file(
     choice: GridChoice = GridChoice(),
     codec: str | None = None,
     half: bool = False,
-    small: bool = False,
+    splats: SplatChoice = SplatChoice(),
     steps: Steps = SILENT,
 ) -> SparseVoxelOctree | Volume | Splats:
     """Write an octree, a volume or splats in another format and return what was written. This is `nerfbake convert`.
@@ -51,7 +52,7 @@ def convert_file(
     choice    the grids of a volume, and its up axis
     codec     of a volume's format: none or zip
     half      store a volume's values as float16
-    small     store splats as small as the format allows
+    splats    how splats are read and written
 
     Arguments that are None keep the value of `source`, or the default of the format. Raises NerfbakeError.
 
@@ -63,10 +64,12 @@ def convert_file(
     source, target = as_source(source), as_target(target)
     if _is_ending(target, "Splats"):
         if layout or no_child or codec or half or choice.grids:
-            raise UsageError("splats have no child slots, grids and codecs; allowed: `up` and `small`")
-        return convert_splats(source, target, up=choice.up, small=small, steps=steps)
-    if small:
-        raise UsageError("`small` is for splats; allowed: `nerfbake compress` for octrees")
+            raise UsageError("splats have no child slots, grids and codecs; allowed: `up` and the options of splats")
+        return convert_splats(source, target, up=choice.up, choice=splats, steps=steps)
+    if splats != SplatChoice():
+        given = [name for name, value in splats._asdict().items() if value]
+        allowed = "`nerfbake compress` for octrees" if given == ["small"] else "OUT of splats"
+        raise UsageError(f"`{given[0]}` is for splats; allowed: {allowed}")
     if _is_ending(target, "Volume"):
         if layout or no_child:
             raise UsageError("a volume has no child slots; allowed: no `layout` and no `no_child`")
@@ -102,14 +105,14 @@ def convert_splats(
     target: AnyTarget,
     *,
     up: str | None = None,
-    small: bool = False,
+    choice: SplatChoice = SplatChoice(),
     steps: Steps = SILENT,
 ) -> Splats:
     """Write splats in another format, report what it loses, and return the splats as they were written.
 
-    up     the axis of their world that points up: x, -x, y, -y, z or -z. They are rotated so that it becomes -y, which
-           the formats store as their own up axis. None: they are not rotated
-    small  store them as small as the format allows
+    up      the axis of their world that points up: x, -x, y, -y, z or -z. They are rotated so that it becomes -y, which
+            the formats store as their own up axis. None: they are not rotated
+    choice  their axes in the files, and how they are written
 
     SH bands that the format cannot store are left out. Raises NerfbakeError.
 
@@ -127,10 +130,10 @@ def convert_splats(
     ways: dict[str, Up] = {way: way for way in UPS}
     if up is not None and up not in ways:
         raise UsageError(f"`up` is {up!r}; allowed: {', '.join(UPS)}")
-    options = {"small": True} if small else {}
+    options = choice.of_format
     form = target.require("Splats", **options)
     module = form.load_splat_module()
-    splats: Splats = source.read(steps, Splats)
+    splats: Splats = choice.read(steps, source, source.read(steps, Splats))
     with source.blamed(steps, "checking the splats"):
         splats.require_usable()
     if up is not None:
@@ -151,6 +154,8 @@ def convert_splats(
         loss = measure_splats(splats, found)
     left_out = "".join(f"; not read: {part}" for part in _not_read(splats))
     steps.say(f"{target.name}: {_loss_text(loss)}{left_out}")
+    if note := choice.readers(form.name):
+        steps.say(f"{target.name}: {note}")
     return found
 
 

@@ -145,9 +145,7 @@ class Splats(Scene):
         degrees = [(degree, m) for degree in range(self.degree + 1) for m in range(-degree, degree + 1)]
         # A basis function is odd in y if m < 0, odd in z if degree and m differ by an odd number, and odd at the
         # opposite point if its degree is odd.
-        odd = [
-            [(degree - abs(m) + degree + (m < 0)) % 2, int(m < 0), (degree - abs(m)) % 2] for degree, m in degrees
-        ]
+        odd = [[(degree - abs(m) + degree + (m < 0)) % 2, int(m < 0), (degree - abs(m)) % 2] for degree, m in degrees]
         flips = np.array([x**a * y**b * z**c for a, b, c in odd], np.float32)
         mirror = np.array(signs, np.float32)
         # An ellipsoid equals its point reflection, so that any signs are those of a rotation.

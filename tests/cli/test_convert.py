@@ -161,12 +161,16 @@ def test_a_batch_cannot_know_the_files_of_all_grids() -> None:
 
 def test_splats_are_converted_and_the_loss_is_printed(shell: Shell, tmp_path: Path) -> None:
     save(tmp_path / "a.ply", splats(9, degree=1))
-    done = shell("convert", "a.ply", "b.spz", "--small", "--up", "-z")
+    done = shell("convert", "a.ply", "b.spz", "--small", "--up", "-z", "--axes", "luf")
     assert (done.returncode, done.stdout) == (0, b"")
     lines = done.stderr.decode().splitlines()
     assert lines[0].startswith("b.spz: 9 splats of SH degree 1, ")
     assert lines[1].startswith("b.spz: largest (median) loss: centres ")
+    assert lines[2].endswith(" read only up to 3, which --spz-version 3 writes")
+    assert len(lines) == 3
     expected = load(tmp_path / "a.ply", Splats).with_up("-z")
     np.testing.assert_allclose(load(tmp_path / "b.spz", Splats).means, expected.means, atol=1e-5)
-    stream = shell("convert", "b.spz", "-", "--to", "glb", "-q").stdout
+    stream = shell("convert", "b.spz", "-", "--to", "glb", "-q", "--in-axes", "RUB").stdout
     assert json.loads(shell("info", "-", "--json", stdin=stream).stdout)["splats"] == 9
+    wrong = shell("convert", "a.ply", "c.spz", "--axes", "UPS")
+    assert (wrong.returncode, b"'UPS' are no axes of splats; allowed: LDB, RDB, " in wrong.stderr) == (2, True)

@@ -52,7 +52,7 @@ def cases() -> Iterator[Case]:
             f"splat/{name}.spz": Frozen(spz, None, data=(HOME / f"splat/{name}.spz").read_bytes()),
             f"splat/{name}.glb": Frozen(glb, None, data=(HOME / f"splat/{name}.glb").read_bytes()),
             f"splat/{name}_axes.spz": Frozen(spz, scene),
-            f"splat/{name}_v3.spz": Frozen(spz, scene, {"axes": "RDF", "version": 3}),
+            f"splat/{name}_v3.spz": Frozen(spz, scene, {"axes": "RDF", "spz_version": 3}),
             f"splat/{name}_front.glb": Frozen(glb, scene),
         }
         yield Case(f"splat/{name}", "Two Gaussian splats.", files, facts, answer, stored=1e-6)

@@ -12,7 +12,7 @@ import pytest
 
 from nerfbake import SparseVoxelOctree, Splats, VdbTree, Volume, load, save
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, OutputError, UsageError
-from nerfbake.jobs import GridChoice, Target, bake_volume, convert_file, convert_splats, split_volume
+from nerfbake.jobs import GridChoice, SplatChoice, Target, bake_volume, convert_file, convert_splats, split_volume
 from tests.jobs.listener import Listener
 from tests.support.scenes import assert_same_octree
 from tests.support.splats import gzip_spz, splats, with_property
@@ -130,8 +130,8 @@ def test_splats_in_another_format_without_loss(ending: str, tmp_path: Path, list
 
 def test_what_a_format_loses_is_told(tmp_path: Path, listener: Listener) -> None:
     save(tmp_path / "a.spz", splats(30, degree=4))
-    convert_file(tmp_path / "a.spz", tmp_path / "b.spz", small=True, steps=listener)
-    assert "centres 0 (0) world units, scales 0 (0) %" in listener.said[-1]
+    convert_file(tmp_path / "a.spz", tmp_path / "b.spz", splats=SplatChoice(small=True), steps=listener)
+    assert "centres 0 (0) world units, scales 0 (0) %" in listener.said[-2]
     convert_file(tmp_path / "a.spz", tmp_path / "b.ply", steps=listener)
     assert listener.said[-1].endswith("; SH bands left out: 1")
     assert load(tmp_path / "b.ply", Splats).degree == 3
@@ -163,6 +163,21 @@ def test_the_axis_that_points_up_becomes_that_of_the_format(tmp_path: Path) -> N
     np.testing.assert_allclose(raw.means, scene.means[:, [0, 2, 1]] * [1, 1, -1], atol=1e-6)
 
 
+def test_the_axes_of_a_spz_are_chosen_and_its_old_readers_named(tmp_path: Path, listener: Listener) -> None:
+    scene = splats(30, degree=1)
+    (tmp_path / "a.spz").write_bytes(gzip_spz(scene, 3))  # as a program writes it that turns nothing
+    convert_splats(tmp_path / "a.spz", tmp_path / "b.spz", choice=SplatChoice(in_axes="RDF"), steps=listener)
+    assert f"{tmp_path / 'a.spz'}: axes not named; read as right, up, back (SPZ's README)" in listener.said
+    assert listener.said[-1].startswith(f"{tmp_path / 'b.spz'}: version 4 of .spz; Omniverse's converter, ")
+    np.testing.assert_allclose(load(tmp_path / "b.spz", Splats).means, scene.means, atol=1e-3)
+    choice = SplatChoice(axes="LFU", spz_version=3)
+    convert_splats(tmp_path / "b.spz", tmp_path / "c.spz", choice=choice, steps=listener)
+    assert "largest (median) loss" in listener.said[-1]
+    found = load(tmp_path / "c.spz", Splats)
+    assert found.axes == "LFU"
+    np.testing.assert_allclose(found.means, scene.means, atol=1e-3)
+
+
 def test_notes_and_dropped_rows_of_splats_are_told(tmp_path: Path, listener: Listener) -> None:
     whole = bytearray(gzip.decompress(gzip_spz(splats(9), 1)) + struct.pack("<II", 0xADBE0002, 0))
     whole[14], whole[16:18] = 2, b"\xff\xff"
@@ -179,12 +194,16 @@ def test_options_that_do_not_fit_splats_are_told(tmp_path: Path) -> None:
         ({"half": True}, "splats have no child slots, grids and codecs"),
         ({"choice": GridChoice(grids=("density",))}, "splats have no child slots, grids and codecs"),
         ({"choice": GridChoice(up="w")}, "`up` is 'w'; allowed: x, -x, y, -y, z, -z"),
-        ({"small": True}, r"glb takes no option 'small'; allowed: none"),
+        ({"splats": SplatChoice(small=True)}, r"glb takes no option 'small'; allowed: none"),
+        ({"splats": SplatChoice(spz_version=3)}, r"glb takes no option 'spz_version'; allowed: none"),
+        ({"splats": SplatChoice(in_axes="RDF")}, r"`in_axes` has no effect on .*a\.ply, whose numbers are its world"),
     ):
         with pytest.raises(UsageError, match=said):
             convert_file(tmp_path / "a.ply", tmp_path / "b.glb", **options)
     with pytest.raises(UsageError, match="`small` is for splats"):
-        convert_file(tmp_path / "a.svo.pb", tmp_path / "b.svo.npz", small=True)
+        convert_file(tmp_path / "a.svo.pb", tmp_path / "b.svo.npz", splats=SplatChoice(small=True))
+    with pytest.raises(UsageError, match="`spz_version` is for splats; allowed: OUT of splats"):
+        convert_file(tmp_path / "a.svo.pb", tmp_path / "b.svo.npz", splats=SplatChoice(spz_version=3))
     with pytest.raises(UsageError, match=r"no file extension for Gaussian splats; allowed: \.glb, \.ply, \.spz"):
         convert_file(tmp_path / "a.ply", tmp_path / "b.splat")
     with pytest.raises(NerfbakeError, match="holds Gaussian splats"):
@@ -208,7 +227,7 @@ def test_splats_on_a_map_keep_their_origin_or_are_told_to_lose_it(tmp_path: Path
     kept = load(tmp_path / "a.ply", Splats).with_up("z").origin
     told = "positions are relative to the origin {:.15g} {:.15g} {:.15g}, which .spz cannot keep".format(*kept)
     assert f"{tmp_path / 'b.spz'}: {told}" in listener.said
-    assert "world units, scales" in listener.said[-1]
+    assert "world units, scales" in listener.said[-2]
     near = load(tmp_path / "b.spz", Splats)
     places = (scene.means + UTM)[:, [0, 2, 1]] * [1, -1, 1]
     np.testing.assert_allclose(near.means, places - kept, atol=1e-5)

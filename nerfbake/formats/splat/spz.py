@@ -294,18 +294,18 @@ def _first_rotations(data: npt.NDArray[np.uint8]) -> Floats:
 
 
 def encode(
-    scene: Splats, *, small: bool = False, axes: Axes = _USUAL, version: Literal[3, 4] = 4
+    scene: Splats, *, small: bool = False, axes: Axes = _USUAL, spz_version: Literal[3, 4] = 4
 ) -> Iterator[bytes]:
     """Encode splats, with as many fractional bits as the farthest mean allows.
 
-    small    store SH as Niantic's own writer does, in 5 bits for degree 1 and 4 bits above, which are packed into fewer
-             bytes; otherwise in 8 bits
-    axes     of the file, which an extension names
-    version  3: gzip, for readers that do not know 4
+    small        store SH as Niantic's own writer does, in 5 bits for degree 1 and 4 bits above, which are packed into
+                 fewer bytes; otherwise in 8 bits
+    axes         of the file, which an extension names
+    spz_version  3: gzip, for readers that do not know 4
 
     Raises InvalidScene for means beyond 2^23, and for SH of degree 4 in version 3.
     """
-    if version == 3 and scene.degree > _MOST_OF_3:
+    if spz_version == 3 and scene.degree > _MOST_OF_3:
         raise InvalidScene(Problem("sh", f"has degree {scene.degree}", f"0 to {_MOST_OF_3} in version 3 of a .spz"))
     scene.require_usable()
     scene = to_axes(scene, axes)
@@ -331,8 +331,8 @@ def encode(
     parts = [array.tobytes() for array in arrays if array.size]
     flags = _EXTENDED | (_ANTIALIASED if scene.antialiased else 0)
     extension = struct.pack("<III", _COORDINATE_SYSTEM, 4, AXES.index(axes) + 1)
-    head = _HEAD.pack(_MAGIC, version, n, scene.degree, bits, flags, len(parts) if version == 4 else 0)
-    if version == 3:
+    head = _HEAD.pack(_MAGIC, spz_version, n, scene.degree, bits, flags, len(parts) if spz_version == 4 else 0)
+    if spz_version == 3:
         yield gzip_whole([head, *parts, extension])
         return
     packed = [b"".join(compress([part])) for part in parts]

@@ -182,7 +182,7 @@ def test_named_axes_can_be_overruled() -> None:
 
 def test_version_3_is_gzip_with_the_axes_behind_the_attributes(tmp_path: Path) -> None:
     scene = splats(50, degree=3, antialiased=True)
-    (tmp_path / "a.spz").write_bytes(written(scene, version=3))
+    (tmp_path / "a.spz").write_bytes(written(scene, spz_version=3))
     whole = gzip.decompress((tmp_path / "a.spz").read_bytes())
     assert whole[:16] == struct.pack("<4sIIBBBB", b"NGSP", 3, 50, 3, whole[13], 3, 0)
     assert len(whole) == 16 + 50 * (9 + 1 + 3 + 3 + 4 + 45) + 12
@@ -191,9 +191,9 @@ def test_version_3_is_gzip_with_the_axes_behind_the_attributes(tmp_path: Path) -
     assert_same(found, spz.decode(memoryview(written(scene))), atol=0)
     assert (found.antialiased, found.notes) == (True, ())
     plain = replace(turned(found), antialiased=False)
-    assert_same(columns_of(converted(written(scene, version=3), "spz")), plain, atol=1e-5)
+    assert_same(columns_of(converted(written(scene, spz_version=3), "spz")), plain, atol=1e-5)
     with pytest.raises(InvalidScene, match=r"sh has degree 4; allowed: 0 to 3 in version 3 of a \.spz"):
-        written(splats(2, degree=4), version=3)
+        written(splats(2, degree=4), spz_version=3)
 
 
 def test_other_extensions_are_left_out_with_a_note() -> None:
