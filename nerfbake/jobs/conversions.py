@@ -67,7 +67,7 @@ def convert_file(
             raise UsageError("splats have no child slots, grids and codecs; allowed: `up` and the options of splats")
         return convert_splats(source, target, up=choice.up, choice=splats, steps=steps)
     if splats != SplatChoice():
-        given = [name for name, value in splats._asdict().items() if value]
+        given = [name for name, value in vars(splats).items() if value]
         allowed = "`nerfbake compress` for octrees" if given == ["small"] else "OUT of splats"
         raise UsageError(f"`{given[0]}` is for splats; allowed: {allowed}")
     if _is_ending(target, "Volume"):
