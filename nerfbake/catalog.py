@@ -41,6 +41,11 @@ class Format(NamedTuple):
     def load_splat_module(self) -> contract.SplatFormat:
         return cast(contract.SplatFormat, self.load_module())
 
+    def load_examined_module(self) -> contract.ExaminedFormat | None:
+        """Return the module if it can examine a file."""
+        module = self.load_module()
+        return cast(contract.ExaminedFormat, module) if hasattr(module, "examine") else None
+
     def load_packed_module(self) -> contract.PackedFormat:
         return cast(contract.PackedFormat, self.load_module())
 

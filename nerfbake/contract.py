@@ -112,6 +112,14 @@ class SplatFormat(FileFormat, Protocol):
 
     MOST_DEGREE: int  # of the spherical harmonics that it can store
     KEEPS_ORIGIN: bool  # False: positions of splats far from 0 are written relative to their origin
+    # Optional: readers_note(**options) returns which programs cannot read what encode() writes, or ''.
+
+
+class ExaminedFormat(FileFormat, Protocol):
+    """A format whose specification has rules that decode() does not need."""
+
+    def examine(self, view: memoryview, /) -> list[Problem]:
+        """Return the rules that a file breaks, for `nerfbake check`. Raises InvalidFile, MemoryLimit."""
 
 
 class SpreadFormat(FileFormat, Protocol):

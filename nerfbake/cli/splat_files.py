@@ -20,10 +20,10 @@ class AxesName(ParamType["Axes"]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Axes:
         from nerfbake.scene.splat_axes import AXES
 
-        for axes in AXES:
-            if str(value).upper() == axes:
-                return axes
-        raise click.BadParameter(f"{str(value)[:40]!r} are no axes of splats; allowed: {', '.join(AXES)}", ctx, param)
+        found = next((axes for axes in AXES if axes == str(value).upper()), None)
+        if found is None:
+            self.fail(f"{str(value)[:40]!r} are no axes of splats; allowed: {', '.join(AXES)}", param, ctx)
+        return found
 
 
 splat_file_options = bundled(
@@ -33,16 +33,16 @@ splat_file_options = bundled(
         "--in-axes",
         type=AxesName(),
         help="Axes of splats in IN, instead of those that it names: where x, y and z point (Left or Right, Up or Down,"
-        " Front or Back).  [default: RUB in a .spz that names none, LUF in a .glb]",
+        " Front or Back).  [default: RUB in files of Niantic that name none, LUF in glTF]",
     ),
     click.option(
-        "--axes", type=AxesName(), help="Axes in which a .spz is written; the file names them.  [default: RUB]"
+        "--axes", type=AxesName(), help="Axes in which a Niantic file is written, which names them.  [default: RUB]"
     ),
     click.option(
         "--spz-version",
         type=click.Choice(["3", "4"]),
         callback=lambda ctx, param, value: value and int(value),
-        help="Version in which a .spz is written. 3: for older programs.  [default: 4]",
+        help="Version of a Niantic file. 3: for older programs.  [default: 4]",
     ),
     click.option("--small", is_flag=True, help="Store SH of splats in 4 and 5 instead of 8 bits (.spz)."),
 )

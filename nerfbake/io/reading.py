@@ -75,8 +75,10 @@ class Loaded(NamedTuple, Generic[Kind]):
     data: memoryview | None = None
 
 
-def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Loaded[Kind]:
-    """Like load(), but also return facts about the file."""
+def load_with_format(
+    source: str | Path, *kinds: type[Kind], sound: bool = True, examined: list[Problem] | None = None
+) -> Loaded[Kind]:
+    """Like load(), but also return facts about the file. examined: the rules of its format that it breaks are added."""
     name = reading_name(source)
     with blame(name):
         with memory.scope():
@@ -86,7 +88,7 @@ def load_with_format(source: str | Path, *kinds: type[Kind], sound: bool = True)
             elif member and Path(source).is_file():
                 found = _decode_member(Path(source), member, kinds)
             else:
-                found = _decode_file(source, kinds)
+                found = _decode_file(source, kinds, examined)
         memory.kept(found.scene)
         if sound:
             found.scene.require_sound()
@@ -117,13 +119,15 @@ def load_split(source: str | Path) -> tuple[str, str] | None:
 def check(source: str | Path) -> list[Problem]:
     """Return all problems of a file.
 
-    This is the error that prevents reading the file, else the problems of its structure, else those of its values.
+    These are the rules of its format that it breaks, else the error that prevents reading the file, else the problems
+    of its structure, else those of its values.
     """
+    examined: list[Problem] = []
     try:
-        scene: StorableScene = load(source, sound=False)
+        found: Loaded[StorableScene] = load_with_format(source, sound=False, examined=examined)
     except NerfbakeError as error:
-        return [error.problem]
-    return scene.problems()
+        return examined or [error.problem]
+    return examined or found.scene.problems()
 
 
 def load_page_content(source: str | Path) -> Any:
@@ -139,7 +143,9 @@ def load_page_content(source: str | Path) -> Any:
     return memory.kept(content)
 
 
-def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
+def _decode_file(
+    source: str | Path, kinds: tuple[type[Kind], ...], examined: list[Problem] | None = None
+) -> Loaded[Any]:
     stream = str(source) == STREAM
     view = read_stdin() if stream else read_file(Path(source))
     path, size = "" if stream else str(source), len(view)
@@ -158,6 +164,9 @@ def _decode_file(source: str | Path, kinds: tuple[type[Kind], ...]) -> Loaded[An
     if form.beside and path:
         extra["beside"] = Folder(Path(path).parent, {}) if archive is None else archive
     _require_kind(form, kinds)
+    if examined is not None and (module := form.load_examined_module()) is not None:
+        with memory.scope():
+            examined += module.examine(view)
     scene = form.load_module().decode(view, **extra)
     if form.packed:
         return Loaded(scene, form, size, form.load_packed_module().describe_packing(view), view)

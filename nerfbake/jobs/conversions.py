@@ -154,7 +154,7 @@ def convert_splats(
         loss = measure_splats(splats, found)
     left_out = "".join(f"; not read: {part}" for part in _not_read(splats))
     steps.say(f"{target.name}: {_loss_text(loss)}{left_out}")
-    if note := choice.readers(form.name):
+    if (noted := getattr(module, "readers_note", None)) and (note := noted(**options)):
         steps.say(f"{target.name}: {note}")
     return found
 

@@ -11,8 +11,6 @@ from nerfbake.jobs.steps import Steps
 from nerfbake.scene.splat_axes import with_axes
 from nerfbake.scene.splats import Axes, Splats
 
-_OLD_READERS = "Omniverse's converter, gsply without an extra and older plug-ins of Unity and game engines"
-
 
 @dataclass(frozen=True, kw_only=True)
 class SplatChoice:
@@ -41,12 +39,6 @@ class SplatChoice:
             return splats
         if splats.axes is None:
             found = f"`in_axes` has no effect on {source.name}, whose numbers are its world"
-            raise UsageError(f"{found}; allowed: a .spz or a .glb, or `up` for this file")
+            raise UsageError(f"{found}; allowed: a file in axes of its format, or `up` for this one")
         with source.blamed(steps, "turning the splats"):
             return with_axes(splats, self.in_axes)
-
-    def readers(self, form: str) -> str:
-        """Return which programs are too old for a file of this format; '' if none is known."""
-        if form != "spz" or self.spz_version == 3:
-            return ""
-        return f"version 4 of .spz; {_OLD_READERS} read only up to 3, which `spz_version=3` writes"

@@ -22,7 +22,7 @@ from nerfbake.scene.origin import no_origin, relative_to, require_origin
 BASES = (1, 4, 9, 16, 25)  # coefficients of each colour at degree 0, 1, 2, 3, 4
 MOVING = 200  # bytes a splat that transformed() takes beside its result
 _UNIT = 1e-3  # how far from 1 the length of a quaternion may be
-_EVEN = 1e-4  # how far a transform may be from a rotation or reflection times one scale: rounding in files
+EVEN = 1e-4  # how far a transform may be from a rotation or reflection times one scale: rounding in files
 
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 UPS: tuple[Up, ...] = ("x", "-x", "y", "-y", "z", "-z")
@@ -171,7 +171,7 @@ class Splats(Scene):
         with np.errstate(all="ignore"):
             turn = linear / scale
             off = np.abs(compose(turn.T.copy(), turn) - np.eye(3)).max()
-        if not (0 < scale <= MAX_WORLD and off <= _EVEN):
+        if not (0 < scale <= MAX_WORLD and off <= EVEN):
             found = "shears, or scales the axes differently"
             raise InvalidScene(Problem("the transform of the splats", found, "a rotation, a reflection, and one scale"))
         proper = turn if determinant(turn) > 0 else -turn  # an ellipsoid equals its point reflection
@@ -181,7 +181,7 @@ class Splats(Scene):
             means=_float32(rotate(self.means, linear) if far else transform_points(self.means, matrix)),
             scales=_float32(self.scales * scale),
             quats=_float32(_product(_quaternion(proper), self.quats.astype(np.float64))),
-            sh=_turned_sh(self.sh, rotation_of_sh(turn, self.B)),
+            sh=turned_sh(self.sh, rotation_of_sh(turn, self.B)),
             up=_turned_up(self.up, turn),
             origin=transform_points(self.origin, matrix) if far else self.origin,
         )
@@ -234,7 +234,7 @@ def _turned_up(up: Up | None, turn: Floats) -> Up | None:
         return None
     direction = turn[:, "xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
     axis = int(np.argmax(np.abs(direction)))
-    if abs(direction[axis]) < 1 - _EVEN:
+    if abs(direction[axis]) < 1 - EVEN:
         return None
     return UPS[2 * axis + int(direction[axis] < 0)]
 
@@ -269,7 +269,7 @@ def _product(first: Floats, second: Floats) -> Floats:
     )
 
 
-def _turned_sh(sh: npt.NDArray[np.float32], rotation: Floats) -> npt.NDArray[np.float32]:
+def turned_sh(sh: npt.NDArray[np.float32], rotation: Floats) -> npt.NDArray[np.float32]:
     """Coefficients (n, B, 3) times a matrix (B, B), each sum in the order of the coefficients."""
     out = np.empty_like(sh)
     for row, shares in enumerate(rotation):

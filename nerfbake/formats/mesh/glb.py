@@ -65,7 +65,7 @@ def _meshes_of(document: Document) -> Meshes:
     looks = _Looks(document)
     found: list[Mesh] = []
     placed: list[npt.NDArray[Any]] = []  # the positions of each mesh, in float64 unless they are as in the file
-    for index, matrix in placed_meshes(document):
+    for _, index, matrix in placed_meshes(document):
         mesh = document.item("meshes", index)
         for k, primitive in enumerate(list_of(mesh, "primitives", f"meshes[{index}]")):
             place = f"meshes[{index}].primitives[{k}]"
@@ -84,8 +84,8 @@ def _meshes_of(document: Document) -> Meshes:
     return Meshes(tuple(found), notes=(*_notes(document), *looks.notes), origin=origin)
 
 
-def placed_meshes(document: Document) -> Iterator[tuple[Any, Floats]]:
-    """Yield the mesh of each node of the scene, and its transform to the scene."""
+def placed_meshes(document: Document) -> Iterator[tuple[int, Any, Floats]]:
+    """Yield each node of the scene that has a mesh, the mesh, and its transform to the scene."""
     nodes = list_of(document.root, "nodes", "JSON")
     if len(nodes) > MAX_NODES:
         raise malformed("nodes", f"are {len(nodes):,}", f"{MAX_NODES:,} at most")
@@ -108,7 +108,7 @@ def placed_meshes(document: Document) -> Iterator[tuple[Any, Floats]]:
             with np.errstate(over="ignore", invalid="ignore"):
                 matrix = compose(above, _matrix(node, f"nodes[{index}]"))
         if "mesh" in node:
-            yield node["mesh"], matrix
+            yield index, node["mesh"], matrix
         waiting += [(child, matrix) for child in reversed(children[index])]
 
 

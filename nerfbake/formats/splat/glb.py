@@ -31,18 +31,19 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats.mesh.glb import placed_meshes
 from nerfbake.formats.mesh.glb_document import Document, malformed
 from nerfbake.formats.mesh.glb_writer import opening_of
+from nerfbake.formats.splat.glb_check import EXTENSION, PREFIX
+from nerfbake.formats.splat.glb_check import examine as examine
 from nerfbake.formats.splat.ply import SH0, exp_or_nan
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import transform_points
 from nerfbake.kernels.picture.metrics import to_linear
 from nerfbake.scene.origin import choose_origin
 from nerfbake.scene.splat_axes import from_axes, to_axes
+from nerfbake.scene.splat_stretch import placed_by
 from nerfbake.scene.splats import BASES, MOVING, Axes, SplatRows, Splats, join_splats, splats_in_blocks
 
-EXTENSION = "KHR_gaussian_splatting"
 MOST_DEGREE = 3
 KEEPS_ORIGIN = True
-_PREFIX = EXTENSION + ":"
 _HEAD = 20  # bytes before the JSON chunk
 _KNOWN = (EXTENSION, "KHR_mesh_quantization")
 _OF_MESHES = ("KHR_materials_", "KHR_texture_", "EXT_texture_")  # extensions of parts that are left out
@@ -81,7 +82,7 @@ def decode(view: memoryview) -> Splats:
             raise malformed("extensionsRequired", f"has {str(extension)[:60]}", " and ".join(_KNOWN))
     parts: list[tuple[Splats, Floats]] = []
     notes: dict[str, None] = {}
-    for index, matrix in placed_meshes(document):
+    for _, index, matrix in placed_meshes(document):
         primitives = document.item("meshes", index).get("primitives")
         for number, primitive in enumerate(primitives if isinstance(primitives, list) else []):
             place = f"meshes[{index}].primitives[{number}]"
@@ -119,7 +120,7 @@ def _placed(parts: list[tuple[Splats, Floats]]) -> Splats:
         for part, matrix in parts:
             near = matrix.copy()
             near[:3, 3] -= origin
-            moved.append(part if np.array_equal(near, np.eye(4)) else part.transformed(near[:3]))
+            moved.append(part if np.array_equal(near, np.eye(4)) else placed_by(part, near[:3]))
     return replace(moved[0] if len(moved) == 1 else join_splats(moved), origin=origin)
 
 
@@ -168,7 +169,7 @@ def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, 
         if inner is not None and (index is None or "bufferView" not in document.item("accessors", index)):
             raise malformed(place, f"needs {inner}", f"{EXTENSION} without further extensions")
         if index is None:
-            raise malformed(f"{place}.attributes", f"lack {name}", f"POSITION, {_PREFIX}ROTATION, SCALE, OPACITY, SH")
+            raise malformed(f"{place}.attributes", f"lack {name}", f"POSITION, {PREFIX}ROTATION, SCALE, OPACITY, SH")
         with memory.scope():
             values = document.accessor(index, (kind,))
         if values.dtype == np.float64:  # normalised integers; other numbers are a view of the file
@@ -180,11 +181,11 @@ def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, 
     n = 0
     means = column("POSITION", "VEC3")
     n = len(means)
-    top = next((d for d in range(MOST_DEGREE, 0, -1) if f"{_PREFIX}SH_DEGREE_{d}_COEF_0" in attributes), 0)
-    names = [f"{_PREFIX}SH_DEGREE_{degree}_COEF_{k}" for degree in range(top + 1) for k in range(2 * degree + 1)]
+    top = next((d for d in range(MOST_DEGREE, 0, -1) if f"{PREFIX}SH_DEGREE_{d}_COEF_0" in attributes), 0)
+    names = [f"{PREFIX}SH_DEGREE_{degree}_COEF_{k}" for degree in range(top + 1) for k in range(2 * degree + 1)]
     coefficients = [column(name, "VEC3") for name in names]
-    scales = column(_PREFIX + "SCALE", "VEC3")
-    turns, opacities = column(_PREFIX + "ROTATION", "VEC4"), column(_PREFIX + "OPACITY", "SCALAR")
+    scales = column(PREFIX + "SCALE", "VEC3")
+    turns, opacities = column(PREFIX + "ROTATION", "VEC4"), column(PREFIX + "OPACITY", "SCALAR")
     memory.require("the splats", 3 * n)
     logarithms, note = _scale_kind(scales, document.root.get("asset"))
     if note:
@@ -246,12 +247,12 @@ def encode(scene: Splats) -> Iterator[bytes]:
     fields: list[tuple[str, str, int, dict[str, Any]]] = [
         ("POSITION", "VEC3", _FLOAT, bounds),
         ("COLOR_0", "VEC4", _BYTE, {"normalized": True}),
-        (_PREFIX + "ROTATION", "VEC4", _FLOAT, {}),
-        (_PREFIX + "SCALE", "VEC3", _FLOAT, {}),
-        (_PREFIX + "OPACITY", "SCALAR", _FLOAT, {}),
+        (PREFIX + "ROTATION", "VEC4", _FLOAT, {}),
+        (PREFIX + "SCALE", "VEC3", _FLOAT, {}),
+        (PREFIX + "OPACITY", "SCALAR", _FLOAT, {}),
     ]
     for degree in range(scene.degree + 1):
-        fields += [(f"{_PREFIX}SH_DEGREE_{degree}_COEF_{k}", "VEC3", _FLOAT, {}) for k in range(2 * degree + 1)]
+        fields += [(f"{PREFIX}SH_DEGREE_{degree}_COEF_{k}", "VEC3", _FLOAT, {}) for k in range(2 * degree + 1)]
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
     attributes: dict[str, int] = {}

@@ -60,6 +60,10 @@ _MOST_PER_BYTE = 16  # splats
 _COORDINATE_SYSTEM = 0xADBE0003
 _USUAL: Axes = "RUB"
 _UNNAMED = "axes not named; read as right, up, back (SPZ's README)"
+_OLD_READERS = (
+    "version 4 of .spz; Omniverse's converter, gsply without an extra and older plug-ins of Unity and game engines read"
+    " only up to 3, which `spz_version=3` writes"
+)
 _MOST_BITS = 23  # fractional bits
 _LARGEST = (1 << 23) - 1
 _LEAST = 1e-30  # scale whose logarithm is taken for 0
@@ -340,6 +344,11 @@ def encode(
     for part, stream in zip(parts, packed, strict=True):
         yield struct.pack("<QQ", len(stream), len(part))
     yield from packed
+
+
+def readers_note(*, spz_version: int = 4, **options: object) -> str:
+    """Return which programs are too old for a file; '' if none is known."""
+    return _OLD_READERS if spz_version == 4 else ""
 
 
 def _bytes(values: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:

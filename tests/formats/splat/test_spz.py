@@ -355,7 +355,10 @@ LIES: dict[str, tuple[bytes, str]] = {
     "no rows": (SOUND[:8] + bytes(4) + SOUND[12:], "have no rows"),
     "streams": (SOUND[:15] + b"\xff" + SOUND[16:], "has 255 streams; allowed: 6"),
     "toc": (SOUND[:16] + b"\xff" * 4 + SOUND[20:], "the table of streams is at byte 4,294,967,295"),
-    "a long stream": (SOUND[:TOC] + b"\xff" * 8 + SOUND[TOC + 8 :], "stream positions declares 18,446,744,073,709"),
+    "a long stream": (
+        SOUND[:TOC] + b"\xff" * 8 + SOUND[TOC + 8 :],
+        "stream positions declares 18,446,744,073,709,551,615",
+    ),
     "too few": (gzip.compress(header(3, 10) + bytes(100)), "holds 100 bytes of attributes; allowed: 200"),
     "cut gzip": (gzip_spz(splats(9), 3)[:60], "the .spz is cut off after"),
     "cut CRC": (gzip_spz(splats(9), 3)[:-5], "the .spz is cut off after"),
