@@ -73,6 +73,7 @@ OWN_LIBRARY = {
     "formats/wire/heif": {"pillow_heif", "pi_heif"},
     "formats/wire/picture": {"PIL"},
     "formats/wire/png": {"deflate"},
+    "formats/wire/yaml": {"yaml"},
     "formats/wire/zip_reader": {"deflate"},
     "formats/wire/zstd": {"zstandard"},
     "jobs/_matching": {"numpy"},  # in the process of pycolmap, which must not load kernels
@@ -98,6 +99,7 @@ HEAVY = {
     "sklearn",
     "trimesh",
     "warp",
+    "yaml",
     "numpy",
     "rich",
     "google",
