@@ -6,83 +6,24 @@ Lens distortion uses the polynomial models that structure from motion fits.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.march import lens
 from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import Scene
 from nerfbake.scene.compact_repr import CompactRepr
+from nerfbake.scene.lens import Lens
 from nerfbake.scene.pose import ORTHOGONAL, pose_problem, scale_of
-
-LensModel = Literal["polynomial", "rational", "fisheye"]
-MOST = 1e6  # largest coefficient
-_COUNT = {"polynomial": 4, "rational": 6, "fisheye": 4}
-
-
-@dataclass(frozen=True)
-class Lens:
-    """Distortion on the plane at distance 1 in front of the camera; kernels.march.lens has the formulas.
-
-    polynomial  k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8, and p1, p2: OpenCV's and COLMAP's models up to k3, nerfstudio's all
-    rational    (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), and p1, p2: COLMAP's FULL_OPENCV
-    fisheye     the angle theta from the axis appears at theta (1 + k1 theta^2 + ... + k4 theta^8): OpenCV's fisheye
-                module
-    """
-
-    model: LensModel
-    k: tuple[float, ...] = ()
-    p: tuple[float, float] = (0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        while self.k and self.k[-1] == 0:  # equal lenses compare equal
-            object.__setattr__(self, "k", self.k[:-1])
-        if len(self.k) > _COUNT[self.model]:
-            found = f"has {len(self.k)} coefficients"
-            raise InvalidScene(Problem(f"the {self.model} lens", found, f"{_COUNT[self.model]} at most"))
-        for name, values in (("k", self.k), ("p", self.p)):
-            for i, value in enumerate(values, start=1):
-                if not abs(value) <= MOST:
-                    raise InvalidScene(Problem(f"{name}{i}", f"is {value:g}", f"-{MOST:g} to {MOST:g}"))
-        if self.model == "fisheye" and any(self.p):
-            raise InvalidScene(Problem("p1, p2", "are set for a fisheye lens", "0"))
-
-    @property
-    def bends(self) -> bool:
-        """False if the lens is equivalent to a pinhole."""
-        return self.model == "fisheye" or any(self.k) or any(self.p)
-
-    def looks(self, points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-        """The viewing directions of points (m, 2) on the plane: (m, 3) unit vectors, x right, y down, z forward.
-
-        Also returns (m,) bool: the points for which a direction exists.
-        """
-        most = np.pi if self.model == "fisheye" else np.inf
-        plane, fine = lens.undistort(points, *self._coefficients, self.p, most=most)
-        plane[~fine] = 0
-        r = np.sqrt((plane * plane).sum(axis=1))
-        looks = np.empty((len(plane), 3))
-        if self.model == "fisheye":
-            sine, looks[:, 2] = sine_cosine(r)
-            looks[:, :2] = plane * np.divide(sine, r, out=np.ones_like(r), where=r > 0)[:, None]
-        else:
-            ahead = 1 / np.sqrt(1 + r * r)
-            looks[:, :2] = plane * ahead[:, None]
-            looks[:, 2] = ahead
-        return looks, fine
-
-    @property
-    def _coefficients(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        return (self.k[:3], self.k[3:]) if self.model == "rational" else (self.k, ())
+from nerfbake.scene.sparse_points import SparsePoints
 
 
 class Raster(NamedTuple):
@@ -314,6 +255,8 @@ class Cameras(Scene):
     notes    assumptions made while reading, one line each
     samples  rays along each edge of a pixel, 1 to 8: pictures get samples x samples rays per pixel, as their
              photographs were averaged
+    held_out  the numbers of the cameras that the capture holds out: the result is measured on them
+    points   the points in space that the program found in the pictures; None: the file has none
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras
@@ -327,6 +270,8 @@ class Cameras(Scene):
     source: str = ""
     notes: tuple[str, ...] = ()
     samples: int = 1
+    held_out: tuple[int, ...] = ()
+    points: SparsePoints | None = None
 
     def __post_init__(self) -> None:
         require_samples(self.samples)
@@ -353,7 +298,19 @@ class Cameras(Scene):
         shift = np.zeros((4, 4))
         shift[:3, 3] = origin
         moved = (replace(camera, pose=camera.pose - shift[: len(camera.pose)]) for camera in self.cameras)
-        return replace(self, cameras=tuple(moved))
+        points = None if self.points is None else replace(self.points, positions=self.points.positions - origin)
+        return replace(self, cameras=tuple(moved), points=points)
+
+    def take(self, numbers: Sequence[int]) -> Cameras:
+        """These cameras alone, in this order. What is held out stays so; points keep what these cameras see."""
+        new = {number: i for i, number in enumerate(numbers)}
+        points = None if self.points is None else self.points.seen_by(new)
+        return replace(
+            self,
+            cameras=tuple(self.cameras[i] for i in numbers),
+            held_out=tuple(new[i] for i in self.held_out if i in new),
+            points=points,
+        )
 
     def transformed(self, frame: npt.NDArray[np.float64]) -> Cameras:
         """These cameras in another world. frame (3, 4): to its coordinates; a rotation times a scale, a translation."""

@@ -123,6 +123,8 @@ def summary_of_cameras(cameras: Cameras) -> dict[str, Any]:
         "centre_y_off": _range([camera.cy - camera.height / 2 for camera in all_of]),
         **({} if cameras.samples == 1 else {"samples": cameras.samples}),
         "lenses": dict(Counter(map(_lens, all_of))),
+        **({} if cameras.points is None else {"points": len(cameras.points)}),
+        **({} if not cameras.held_out else {"held_out": len(cameras.held_out)}),
         "position_box": [places.min(axis=0).tolist(), places.max(axis=0).tolist()],
         "up": _up(np.array([camera.pose[:3, 1] for camera in all_of])),
         "notes": [*cameras.notes, *cameras.pose_notes] or None,
@@ -139,7 +141,9 @@ def _lens(camera: Camera) -> str:
     assert camera.lens is not None
     k = ", ".join(f"k{i} {value:g}" for i, value in enumerate(camera.lens.k, start=1) if value)
     p = ", ".join(f"p{i} {value:g}" for i, value in enumerate(camera.lens.p, start=1) if value)
-    return f"{camera.lens.model} ({', '.join(part for part in (k, p) if part)})" if k or p else camera.lens.model
+    skew = f"skew {camera.lens.skew:g}" if camera.lens.skew else ""
+    parts = ", ".join(part for part in (k, p, skew) if part)
+    return f"{camera.lens.model} ({parts})" if parts else camera.lens.model
 
 
 def _up(ups: npt.NDArray[np.float64]) -> str | None:

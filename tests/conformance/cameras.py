@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from nerfbake import load
-from nerfbake.scene.camera import Camera, Cameras, Lens
+from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.lens import Lens
 from tests.conformance.case import Case, Facts, Frozen, floats, form_named
 
 # Right-handed, of length 1, in fractions that float64 has: (0.6, 0.8) is a turn.

@@ -22,7 +22,7 @@ from nerfbake.jobs import (
 )
 from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.memory import memory_limit
-from nerfbake.scene.camera import Lens
+from nerfbake.scene.lens import Lens
 from tests.jobs.listener import Listener
 from tests.support.splats import ball_of_splats
 

@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 
 from nerfbake import Camera, Cameras
 from nerfbake.errors import InvalidScene
-from nerfbake.scene.camera import Lens, look_at
+from nerfbake.scene.camera import look_at
+from nerfbake.scene.lens import Lens
 
 POSE = look_at(np.array([0.3, -0.2, 0.1]), 0.7, 0.4, 3.0)
 

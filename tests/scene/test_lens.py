@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from nerfbake import Camera, Cameras, load, save
 from nerfbake.errors import InvalidScene
-from nerfbake.scene.camera import Lens
+from nerfbake.scene.lens import Lens
 from tests.support.captures import Rig, rig, write_colmap_binary, write_colmap_text, write_instant_ngp, write_nerfstudio
 
 Parameters = tuple[float, ...]

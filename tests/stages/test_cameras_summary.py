@@ -12,7 +12,8 @@ import pytest
 
 from nerfbake import Camera, Cameras, load, summarise_scene
 from nerfbake.cli.main import run
-from nerfbake.scene.camera import Lens, look_at
+from nerfbake.scene.camera import look_at
+from nerfbake.scene.lens import Lens
 from tests.support.captures import rig, write_colmap_binary
 
 

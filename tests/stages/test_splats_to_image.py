@@ -12,7 +12,8 @@ from nerfbake import Camera, Splats, memory_limit, orbit_cameras, render_splats
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.kernels import parallel
 from nerfbake.kernels.picture.metrics import psnr
-from nerfbake.scene.camera import Lens, look_at
+from nerfbake.scene.camera import look_at
+from nerfbake.scene.lens import Lens
 from tests.support.splat_pictures import reference_picture
 from tests.support.splats import splats
 

@@ -26,7 +26,8 @@ from nerfbake import (
     sample_stage1,
 )
 from nerfbake.errors import InvalidScene, MemoryLimit
-from nerfbake.scene.camera import Lens, look_at
+from nerfbake.scene.camera import look_at
+from nerfbake.scene.lens import Lens
 from nerfbake.stages import _supersampled
 from nerfbake.stages._supersampled import supersampled
 from tests.support.fields import front, solid

@@ -22,7 +22,8 @@ from nerfbake import (
 )
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.kernels.picture.metrics import psnr
-from nerfbake.scene.camera import Cameras, Lens
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.lens import Lens
 from nerfbake.scene.schedule import Schedule, parse_schedule
 from nerfbake.stages import views_to_field
 from nerfbake.stages.views_to_field import FitState, continue_fit, measure_state

@@ -12,7 +12,8 @@ import pytest
 from nerfbake import Cameras, Mesh, Meshes, Views, move_vertices, render_meshes
 from nerfbake.errors import InvalidScene
 from nerfbake.kernels.surface.normals import face_normals
-from nerfbake.scene.camera import Camera, Lens
+from nerfbake.scene.camera import Camera
+from nerfbake.scene.lens import Lens
 from tests.support.meshes import camera, sphere
 
 BALL = sphere(16, 32)

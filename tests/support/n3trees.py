@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from nerfbake.scene.camera import Camera, Cameras, Lens, look_at
+from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.scene.held_out import HeldOut
+from nerfbake.scene.lens import Lens
 from nerfbake.scene.n3tree import N3Tree
 from tests.support.scenes import n3tree
 

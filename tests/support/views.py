@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 from nerfbake import Cameras, Views, build_field, orbit_cameras, render_field, sample_n3tree
-from nerfbake.scene.camera import Camera, Lens, look_at
+from nerfbake.scene.camera import Camera, look_at
+from nerfbake.scene.lens import Lens
 
 
 @cache

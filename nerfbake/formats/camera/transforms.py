@@ -40,7 +40,8 @@ from nerfbake.formats.camera.capture import (
 from nerfbake.formats.wire.json import key_place, kind_of, number, parse_object, shorten, table, whole
 from nerfbake.kernels.maths.elementary import arctan, tangent
 from nerfbake.kernels.soundness import MAX_EDGE, plural
-from nerfbake.scene.camera import FOCAL_LENGTHS, MAX_SAMPLES, Camera, Cameras, Lens, LensModel
+from nerfbake.scene.camera import FOCAL_LENGTHS, MAX_SAMPLES, Camera, Cameras
+from nerfbake.scene.lens import Lens, LensModel
 
 # nerfstudio's names of COLMAP's models, with the lens model of k1, k2, ...
 _MODELS: dict[str, LensModel] = {

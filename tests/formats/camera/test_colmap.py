@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose
 from nerfbake import Cameras, load
 from nerfbake.errors import InvalidFile
 from nerfbake.formats.camera import colmap
-from nerfbake.scene.camera import Lens
+from nerfbake.scene.lens import Lens
 
 CAMERA = "1 PINHOLE 4 3 5 5 2 1.5\n"
 BOM = b"\xef\xbb\xbf"

@@ -17,7 +17,8 @@ from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.camera import transforms as cameras_json
 from nerfbake.formats.camera.capture import PictureSizes
 from nerfbake.io.sources import Folder
-from nerfbake.scene.camera import Cameras, Lens
+from nerfbake.scene.camera import Cameras
+from nerfbake.scene.lens import Lens
 
 EYE = np.eye(4).tolist()
 

@@ -17,7 +17,8 @@ from nerfbake.kernels.splat.backward import SUMS, TargetPicture, blend_back, ent
 from nerfbake.kernels.splat.blend import TileLists
 from nerfbake.kernels.splat.project import SplatArrays, project
 from nerfbake.kernels.splat.tiles import bent_tiles, count_entries, even_tiles, fill_entries
-from nerfbake.scene.camera import Lens, look_at
+from nerfbake.scene.camera import look_at
+from nerfbake.scene.lens import Lens
 from nerfbake.stages._eye import eye_of
 from tests.support.splat_pictures import reference_picture
 from tests.support.splats import splats

@@ -10,7 +10,8 @@ import pytest
 
 from nerfbake.errors import InvalidScene
 from nerfbake.kernels.surface.gbuffer import NONE, GBuffer, gbuffer
-from nerfbake.scene.camera import Camera, Lens
+from nerfbake.scene.camera import Camera
+from nerfbake.scene.lens import Lens
 from nerfbake.scene.mesh import Mesh, joined_meshes
 from tests.support.meshes import camera, cube, mesh, sphere, square, straight_down
 

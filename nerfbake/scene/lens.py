@@ -1,0 +1,81 @@
+"""The lens of a camera: polynomial distortion, as structure from motion fits it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.march import lens
+from nerfbake.kernels.maths.elementary import sine_cosine
+
+LensModel = Literal["polynomial", "rational", "fisheye"]
+MOST = 1e6  # largest coefficient
+_COUNT = {"polynomial": 4, "rational": 6, "fisheye": 4}
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Distortion on the plane at distance 1 in front of the camera; kernels.march.lens has the formulas.
+
+    polynomial  k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8, and p1, p2: OpenCV's and COLMAP's models up to k3, nerfstudio's all
+    rational    (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), and p1, p2: COLMAP's FULL_OPENCV
+    fisheye     the angle theta from the axis appears at theta (1 + k1 theta^2 + ... + k4 theta^8): OpenCV's fisheye
+                module
+
+    skew is added to the distorted x for each unit of the distorted y: the sensor's axes are not at right angles. It is
+    the entry (0, 1) of the matrix of intrinsics divided by fx.
+    """
+
+    model: LensModel
+    k: tuple[float, ...] = ()
+    p: tuple[float, float] = (0.0, 0.0)
+    skew: float = 0.0
+
+    def __post_init__(self) -> None:
+        while self.k and self.k[-1] == 0:  # equal lenses compare equal
+            object.__setattr__(self, "k", self.k[:-1])
+        if len(self.k) > _COUNT[self.model]:
+            found = f"has {len(self.k)} coefficients"
+            raise InvalidScene(Problem(f"the {self.model} lens", found, f"{_COUNT[self.model]} at most"))
+        for name, values in (("k", self.k), ("p", self.p)):
+            for i, value in enumerate(values, start=1):
+                if not abs(value) <= MOST:
+                    raise InvalidScene(Problem(f"{name}{i}", f"is {value:g}", f"-{MOST:g} to {MOST:g}"))
+        if not abs(self.skew) <= 1:
+            raise InvalidScene(Problem("the skew", f"is {self.skew:g}", "-1 to 1 times the focal length"))
+        if self.model == "fisheye" and any(self.p):
+            raise InvalidScene(Problem("p1, p2", "are set for a fisheye lens", "0"))
+
+    @property
+    def bends(self) -> bool:
+        """False if the lens is equivalent to a pinhole."""
+        return self.model == "fisheye" or any(self.k) or any(self.p) or self.skew != 0
+
+    def looks(self, points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        """The viewing directions of points (m, 2) on the plane: (m, 3) unit vectors, x right, y down, z forward.
+
+        Also returns (m,) bool: the points for which a direction exists.
+        """
+        most = np.pi if self.model == "fisheye" else np.inf
+        if self.skew:
+            points = np.stack([points[:, 0] - self.skew * points[:, 1], points[:, 1]], axis=1)
+        plane, fine = lens.undistort(points, *self._coefficients, self.p, most=most)
+        plane[~fine] = 0
+        r = np.sqrt((plane * plane).sum(axis=1))
+        looks = np.empty((len(plane), 3))
+        if self.model == "fisheye":
+            sine, looks[:, 2] = sine_cosine(r)
+            looks[:, :2] = plane * np.divide(sine, r, out=np.ones_like(r), where=r > 0)[:, None]
+        else:
+            ahead = 1 / np.sqrt(1 + r * r)
+            looks[:, :2] = plane * ahead[:, None]
+            looks[:, 2] = ahead
+        return looks, fine
+
+    @property
+    def _coefficients(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        return (self.k[:3], self.k[3:]) if self.model == "rational" else (self.k, ())
