@@ -22,6 +22,7 @@ from nerfbake.errors import Problem, UsageError, one_line
 
 Piece = bytes | memoryview
 HEAD = 512  # bytes that are enough to recognise most formats
+HEAD_CAMERAS = 1 << 16  # the same for the cameras of other tools, whose text may start with long comments
 # The extensions of each kind of picture.
 _ENDINGS = ((".png", ".PNG"), (".jpg", ".JPG", ".jpeg", ".JPEG"), (".heic", ".HEIC", ".heif", ".HEIF"))
 PICTURES = tuple(ending for kind in _ENDINGS for ending in kind)  # extensions that a capture may omit
@@ -93,6 +94,33 @@ class FolderFormat(Protocol):
 
     def decode(self, files: Mapping[str, memoryview], /, **member: Any) -> Any:
         """Return the scene. `member`: the file given instead of the folder, if the catalog lists members."""
+
+
+class HeadedFiles(Protocol):
+    """The files of a folder by name, of which the beginnings can be read."""
+
+    def __contains__(self, name: object) -> bool: ...
+
+    def __getitem__(self, name: str) -> memoryview: ...
+
+    def names(self, folder: str) -> list[str]:
+        """Return the sorted names of the files in a subfolder ('' for this folder); [] if it does not exist."""
+
+    def head(self, name: str, size: int) -> bytes:
+        """Return the first `size` bytes of a file, or all of a shorter one; b'' if it does not exist."""
+
+
+class CameraDialect(Protocol):
+    """Cameras of another tool, which lie in the folder of a capture."""
+
+    def recognise(self, name: str, head: bytes) -> bool:
+        """Return whether a file is in this dialect; never raise.
+
+        name: its path in the capture, with an ending of the catalog. head: its first HEAD_CAMERAS bytes, untrusted.
+        """
+
+    def decode(self, files: HeadedFiles, *, name: str) -> Any:
+        """Return the cameras of the file `name` of a folder. Raises InvalidFile, InvalidScene, MemoryLimit."""
 
 
 class VolumeFormat(FileFormat, Protocol):

@@ -6,13 +6,12 @@ import re
 import unicodedata
 from collections.abc import Iterable
 from contextlib import suppress
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.contract import PICTURES, composed_name, picture_names
+from nerfbake.contract import PICTURES, HeadedFiles, composed_name, picture_names
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.kernels.maths.affine import compose
 
@@ -30,20 +29,7 @@ _HEADS = 1 << 18, 1 << 25
 _OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 Size = tuple[int, int]
-
-
-class CaptureFolder(Protocol):
-    """Files by name, read on access. A name may contain subfolders."""
-
-    def __contains__(self, name: object) -> bool: ...
-
-    def __getitem__(self, name: str) -> memoryview: ...
-
-    def names(self, folder: str) -> list[str]:
-        """Return the sorted names of the files in a subfolder ('' for this folder); [] if it does not exist."""
-
-    def head(self, name: str, size: int) -> bytes:
-        """Return the first `size` bytes of a file, or all of a shorter one; b'' if it does not exist."""
+CaptureFolder = HeadedFiles  # files by name, read on access; a name may contain subfolders
 
 
 def room_for(frames: int) -> None:

@@ -26,10 +26,12 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder, inside_of, names_of, opengl, room_for
+from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder, inside_of, names_of, room_for
+from nerfbake.formats.camera.turns import pose_shifted, turn_of_quaternion
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import MAX_WORLD
-from nerfbake.scene.camera import Camera, Cameras, Lens, LensModel
+from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.lens import Lens, LensModel
 
 # COLMAP's model number: name, number of parameters.
 MODELS = {
@@ -260,7 +262,7 @@ class _Layout(NamedTuple):
     p: tuple[int, int] | None = None
 
 
-_LAYOUTS = {
+LAYOUTS = {
     "SIMPLE_PINHOLE": _Layout(1),
     "PINHOLE": _Layout(2),
     "SIMPLE_RADIAL": _Layout(1, "polynomial", (3,)),
@@ -332,41 +334,32 @@ def _camera(shot: ColmapImage, name: str, models: dict[int, ColmapCamera]) -> Ca
     if shot.model not in models:
         raise InvalidFile(Problem(f"image {name}", f"was taken by camera {shot.model}", "a camera of the model"))
     model = models[shot.model]
-    if model.name not in _LAYOUTS:
-        raise InvalidFile(Problem(f"camera {shot.model}", f"has the model {model.name}", ", ".join(_LAYOUTS)))
+    if model.name not in LAYOUTS:
+        raise InvalidFile(Problem(f"camera {shot.model}", f"has the model {model.name}", ", ".join(LAYOUTS)))
     if not (model.width <= MAX_EDGE and model.height <= MAX_EDGE):
         found = f"has {model.width:,}x{model.height:,} pixels"
         raise InvalidFile(Problem(f"camera {shot.model}", found, f"up to {MAX_EDGE:,} per edge"))
-    layout, values = _LAYOUTS[model.name], model.parameters
+    picture = inside_of(shot.name)
+    picture = picture and f"{_PICTURES}{picture}"
+    focal, centre, lens = intrinsics_of(model)
+    return Camera(model.width, model.height, focal, _pose(shot, name), name, centre, lens, picture)
+
+
+def intrinsics_of(model: ColmapCamera) -> tuple[tuple[float, float], tuple[float, float], Lens | None]:
+    """Return focal lengths, principal point and lens of a model of LAYOUTS, from all of its parameters."""
+    layout, values = LAYOUTS[model.name], model.parameters
     lens = None
     if layout.lens:
         p = (0.0, 0.0) if layout.p is None else (values[layout.p[0]], values[layout.p[1]])
         lens = Lens(layout.lens, tuple(values[i] for i in layout.k), p)
     cx, cy = values[layout.focals : layout.focals + 2]
-    focal = values[0], values[layout.focals - 1]
-    picture = inside_of(shot.name)
-    picture = picture and f"{_PICTURES}{picture}"
-    return Camera(model.width, model.height, focal, _pose(shot, name), name, (cx, cy), lens, picture)
+    return (values[0], values[layout.focals - 1]), (cx, cy), lens
 
 
 def _pose(shot: ColmapImage, name: str) -> npt.NDArray[np.float64]:
     """Return the pose, (4, 4) camera to world, in OpenGL's axes."""
     w, x, y, z = shot.turn
-    square = w * w + x * x + y * y + z * z
-    if not 1e-12 < square < 1e12:
-        raise InvalidFile(Problem(f"image {name}", f"has the quaternion {shot.turn}", "one of length 1"))
-    s = 2 / square
-    # The rows of R are the camera's axes in the world, so its transpose is camera to world.
-    turn = np.array(
-        [
-            [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
-            [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
-            [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
-        ]
-    )
+    turn = turn_of_quaternion(w, x, y, z, f"image {name}")
     if not all(abs(value) <= MAX_WORLD for value in shot.shift):
         raise InvalidFile(Problem(f"image {name}", f"has the shift {shot.shift}", f"up to {MAX_WORLD:g} world units"))
-    pose = np.eye(4)
-    pose[:3, :3] = turn.T
-    pose[:3, 3] = -(turn.T * np.array(shot.shift)).sum(axis=1)
-    return opengl(pose)
+    return pose_shifted(turn, shot.shift)

@@ -25,7 +25,7 @@ from nerfbake.formats.camera.capture import (
 from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.camera import Camera, Cameras
 
-_INSIDE = "intrinsics.txt"
+INTRINSICS = "intrinsics.txt"
 _POSES = ("pose", "poses")
 _MAX_SIZE = 1 << 16  # bytes of a file of a few numbers
 
@@ -35,17 +35,17 @@ _Rows = list[list[float]]
 
 
 def recognise(files: CaptureFolder) -> bool:
-    return _INSIDE in files and any(files.names(folder) for folder in _POSES)
+    return INTRINSICS in files and any(files.names(folder) for folder in _POSES)
 
 
 def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     folder = next((folder for folder in _POSES if files.names(folder)), _POSES[0])
     stems = [name.removesuffix(".txt") for name in visible_names(files, folder, ".txt")]
     room_for(len(stems))
-    fx, fy, cx, cy = _inside(_rows(files, _INSIDE))
+    fx, fy, cx, cy = read_intrinsics(files)
     sizes = PictureSizes(files)
     found = [sizes.of(f"rgb/{stem}") for stem in stems]
-    default = next((size for size in found if size), None) or _around(cx, cy)
+    default = next((size for size in found if size), None) or around(cx, cy)
     notes: tuple[str, ...] = ()
     if not any(found):
         missing = f"no readable picture in rgb ({sizes.unreadable} cannot be read)" if sizes.unreadable else ""
@@ -56,23 +56,24 @@ def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
         width, height = size or default
         pose = opengl(_matrix(_rows(files, f"{folder}/{stem}.txt"), f"{folder}/{stem}.txt"))
         cameras.append(Camera(width, height, (fx, fy), pose, name, (cx, cy), picture=f"rgb/{stem}"))
-    return Cameras(tuple(cameras), "NSVF", f"{_INSIDE}, {folder}/*.txt", notes)
+    return Cameras(tuple(cameras), "NSVF", f"{INTRINSICS}, {folder}/*.txt", notes)
 
 
-def _inside(rows: _Rows) -> tuple[float, float, float, float]:
-    """Return fx, fy, cx, cy."""
+def read_intrinsics(files: CaptureFolder) -> tuple[float, float, float, float]:
+    """Return fx, fy, cx, cy of the folder's intrinsics.txt."""
+    rows = _rows(files, INTRINSICS)
     edges = [len(row) for row in rows]
     if edges in ([16], [4] * 4, [4] * 3, [3] * 3):
         K = np.array(rows).reshape(-1, edges[-1] if len(edges) > 1 else 4)
         for (row, column), allowed in np.ndenumerate(np.eye(3, K.shape[1])):
             if (row, column) not in _FREE and K[row, column] != allowed:
                 name = "skew" if (row, column) == (0, 1) else f"K[{row}, {column}]"
-                raise InvalidFile(Problem(f"{_INSIDE}: {name}", f"is {K[row, column]:g}", f"{allowed:g}"))
+                raise InvalidFile(Problem(f"{INTRINSICS}: {name}", f"is {K[row, column]:g}", f"{allowed:g}"))
         fx, fy, cx, cy = (float(K[place]) for place in _FREE)
         return fx, fy, cx, cy
     if not edges or edges[0] not in (3, 4) or edges[:1] == edges[1:2]:  # equal lines are those of a matrix
         found = f"has lines of {', '.join(map(str, edges[:8])) or 'no'} numbers"
-        raise InvalidFile(Problem(_INSIDE, found, "4 x 4, 3 x 4, 3 x 3, or a first line f cx cy _"))
+        raise InvalidFile(Problem(INTRINSICS, found, "4 x 4, 3 x 4, 3 x 3, or a first line f cx cy _"))
     f, cx, cy = rows[0][:3]
     return f, f, cx, cy
 
@@ -98,6 +99,6 @@ def _rows(files: CaptureFolder, name: str) -> _Rows:
     return [row for row in rows if len(row) not in (0, 2)]
 
 
-def _around(cx: float, cy: float) -> Size:
+def around(cx: float, cy: float) -> Size:
     """Return the size of a picture with its centre at (cx, cy)."""
     return max(1, round(2 * cx)), max(1, round(2 * cy))
