@@ -6,7 +6,7 @@ format is one file and one line in a table; a new stage is one file and one line
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from importlib import import_module
 from pathlib import PurePath
 from typing import NamedTuple, cast
@@ -84,7 +84,28 @@ class FolderKind(NamedTuple):
         contract.require_options(self.name, self.load_module().encode, given)
 
 
-AnyFormat = Format | FolderKind
+class Dialect(NamedTuple):
+    """Cameras of another tool: a file of a capture, or one of many files that are read together."""
+
+    title: str  # the tool, as `Cameras.dialect`
+    module: str  # in `formats`: implements contract.CameraDialect
+    endings: tuple[str, ...]  # of the file's name; '' for any
+    places: tuple[str, ...] = ("",)  # subfolders of a capture in which the file may be
+    needs: tuple[str, ...] = ()  # one of these files of the capture is needed, too, if it is not empty
+    is_many: bool = False  # all files of this kind in a folder are read together
+    scene: str = "Cameras"
+    written_as: str = ""  # value of --to, if the module has encode()
+
+    @property
+    def name(self) -> str:
+        """What `info` prints as the format."""
+        return self.module.rpartition(".")[2]
+
+    def load_module(self) -> contract.CameraDialect:
+        return cast(contract.CameraDialect, import_module(f"nerfbake.formats.{self.module}"))
+
+
+AnyFormat = Format | FolderKind | Dialect
 
 _OCTREE = "SparseVoxelOctree"
 
@@ -143,6 +164,52 @@ FOLDERS = (
     FolderKind("merf", "LatticeField", "field.merf", "MERF's folder", _BLOCKS, _BAKED, writable=False),
     FolderKind("sog_folder", "Splats", "splat.sog_folder", "folder of a .sog", "meta.json", _SOG, writable=False),
     FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", _BAKED, writable=False),
+)
+
+# Cameras of other tools, by how many people need them: of several files in a folder, the first line here is read. A
+# folder of FOLDERS comes before them. Their contents are recognised, not only their names.
+_TEXT = (".txt",)
+_INTRINSICS = ("intrinsics.txt", "calib.txt")
+DIALECTS = (
+    Dialect("Metashape", "camera.metashape", (".xml", ".psx")),
+    Dialect("RealityCapture", "camera.realitycapture_xmp", (".xmp",), ("", "images"), is_many=True),
+    Dialect("RealityCapture", "camera.realitycapture_csv", (".csv", *_TEXT)),
+    Dialect("3D Gaussian Splatting", "camera.gaussian_cameras", (".json",), written_as="3dgs"),
+    Dialect(
+        "Polycam",
+        "camera.polycam",
+        (".json",),
+        ("keyframes/corrected_cameras", "keyframes/cameras", "corrected_cameras", "cameras"),
+        is_many=True,
+    ),
+    Dialect("Record3D", "camera.record3d", ("metadata", "metadata.json"), ("", "EXR_RGBD")),
+    Dialect("OpenSfM", "camera.opensfm", (".json",), ("", "opensfm")),
+    Dialect("OpenDroneMap", "camera.opendronemap", (".geojson",), ("", "odm_report")),
+    Dialect("Meshroom", "camera.meshroom", (".sfm", ".json")),
+    Dialect("NeuS", "camera.neus", (".npz",)),
+    Dialect("Bundler", "camera.bundler", (".out", *_TEXT), ("", "bundle")),
+    Dialect("TUM", "camera.tum", _TEXT, needs=_INTRINSICS),
+    Dialect("KITTI", "camera.kitti", _TEXT, needs=_INTRINSICS),
+    Dialect("7-Scenes", "camera.seven_scenes", (".pose.txt",), needs=_INTRINSICS, is_many=True),
+    Dialect("MVSNet", "camera.mvsnet", ("_cam.txt",), ("cams", ""), is_many=True),
+    Dialect("OpenMVG", "camera.openmvg", (".json",)),
+    Dialect("NVM", "camera.nvm", (".nvm",)),
+    Dialect("Open3D", "camera.open3d", (".log",), needs=_INTRINSICS),
+    Dialect("Open3D", "camera.open3d_json", (".json",)),
+    Dialect("kapture", "camera.kapture", ("sensors.txt",), ("sensors", "")),
+)
+_MOST_HEADS = 50  # files of a subfolder whose beginnings are read to recognise a dialect
+
+# Files of cameras that are not read, by the ends of their names: the tool, and what it can export instead.
+UNREAD = (
+    (".abc", "Alembic", "Meshroom's cameras.sfm"),
+    (".r3d", "Record3D", "the unpacked archive, with its file metadata"),
+    (".rcproj", "RealityCapture", "its .xmp files or its CSV of camera parameters"),
+    (".rsproj", "RealityScan", "its .xmp files or its CSV of camera parameters"),
+    (".psz", "Metashape", "its cameras.xml"),
+    (".p4d", "Pix4D", "a COLMAP model"),
+    ("sfm_data.bin", "OpenMVG", "its sfm_data.json"),
+    (".traj", "ARKitScenes", "transforms.json"),
 )
 
 # An additional extension of any format: zstd frames. The module has compress() and decompress().
@@ -296,6 +363,43 @@ def folder_of_member(name: str, files: Mapping[str, memoryview]) -> FolderKind |
     return next((form for form in known[:-1] if form.load_module().recognise(files)), known[-1] if known else None)
 
 
+def dialect_of(name: str, head: bytes) -> Dialect | None:
+    """Return the tool whose cameras a file holds, or None. name: its path in the capture; head: its first HEAD_CAMERAS
+    bytes.
+    """
+    last = name.rpartition("/")[2].lower()
+    known = (form for form in DIALECTS if last.endswith(form.endings))
+    return next((form for form in known if form.load_module().recognise(name, head)), None)
+
+
+def dialects_in(files: contract.HeadedFiles) -> list[tuple[Dialect, str]]:
+    """Return the files of cameras of other tools in a folder, with their tools, in the order of DIALECTS.
+
+    Of files that are read together, the first one is returned.
+    """
+    found: dict[Dialect, list[str]] = {}
+    for place in dict.fromkeys(place for form in DIALECTS for place in form.places):
+        forms = [form for form in DIALECTS if place in form.places]
+        endings = tuple(ending for form in forms for ending in form.endings)
+        names = [name for name in files.names(place) if name.lower().endswith(endings) and not name.startswith(".")]
+        for name in names[:_MOST_HEADS]:
+            path = f"{place}/{name}" if place else name
+            form = dialect_of(path, files.head(path, contract.HEAD_CAMERAS))
+            if form in forms:
+                found.setdefault(form, []).append(path)
+    return [(form, path) for form in DIALECTS for path in found.get(form, [])[: 1 if form.is_many else None]]
+
+
+def lacks(form: Dialect, files: Container[str]) -> str:
+    """Return the files that cameras need and that a folder lacks, in words; '' if it has them."""
+    return "" if not form.needs or any(name in files for name in form.needs) else " or ".join(form.needs)
+
+
+def unread_file(name: str) -> tuple[str, str] | None:
+    """Return the tool of a file of cameras that is not read, and what to export instead; None for any other file."""
+    return next(((tool, advice) for ending, tool, advice in UNREAD if name.lower().endswith(ending)), None)
+
+
 def require_content(head: bytes) -> None:
     """Raise InvalidFile if the file is a Git-LFS pointer, whatever its name is."""
     if head.startswith(LFS_POINTER):
@@ -316,6 +420,8 @@ def format_of_content(path: str, view: memoryview) -> Format:
             return form
     if by_ending:
         return by_ending[0]
+    if unread := unread_file(path):
+        raise InvalidFile(f"is a file of {unread[0]}, which is not read; allowed: {unread[1]}")
     start = bytes(view[:8]).hex(" ") or "nothing"
     endings = ", ".join(dict.fromkeys(form.suffix for form in known))
     raise InvalidFile(f"starts with {start}, which is no known format; allowed: {endings}")

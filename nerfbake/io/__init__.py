@@ -29,6 +29,7 @@ from nerfbake.io.reading import load_split as load_split
 from nerfbake.io.reading import load_thumbnail as load_thumbnail
 from nerfbake.io.reading import load_with_format as load_with_format
 from nerfbake.io.reading import picture_in as picture_in
+from nerfbake.io.reading import unread_cameras as unread_cameras
 from nerfbake.io.results import report_result as report_result
 from nerfbake.io.sources import STREAM as STREAM
 from nerfbake.io.sources import StoredNames as StoredNames

@@ -14,18 +14,23 @@ from nerfbake.catalog import (
     COMPRESSION_MAGIC,
     NOUNS,
     AnyFormat,
+    Dialect,
     FolderKind,
     compressed,
+    dialect_of,
+    dialects_in,
     folder_of_content,
     folder_of_member,
     folders_of,
     format_of_content,
     formats_of,
+    lacks,
     load_compression,
     load_photographs,
     uncompressed,
+    unread_file,
 )
-from nerfbake.contract import HEAD, PICTURES, StorableScene, picture_names
+from nerfbake.contract import HEAD, HEAD_CAMERAS, PICTURES, StorableScene, picture_names
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem
 from nerfbake.io.sources import (
     STREAM,
@@ -87,6 +92,8 @@ def load_with_format(
                 found = _decode_folder(Path(source), kinds)
             elif member and Path(source).is_file():
                 found = _decode_member(Path(source), member, kinds)
+            elif (tool := _tool_of(source)) is not None:
+                found = _decode_tool(Path(source), tool, kinds)
             else:
                 found = _decode_file(source, kinds, examined)
         memory.kept(found.scene)
@@ -111,7 +118,7 @@ def load_split(source: str | Path) -> tuple[str, str] | None:
         return None
     with blame(str(source)):
         files = Folder(path, {})
-        form = _folder_form(files, "Cameras")
+        form, _ = _folder_form(files, "Cameras")
         split = getattr(form.load_module(), "split", lambda files: None)(files)
     return None if split is None else (str(path / split[0]), str(path / split[1]))
 
@@ -175,21 +182,83 @@ def _decode_file(
 
 def _decode_folder(path: Path, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
     files = Folder(path, {})
-    form = _folder_form(files, *(kind.__name__ for kind in kinds))
+    form, name = _folder_form(files, *(kind.__name__ for kind in kinds))
     _require_kind(form, kinds)
     size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
+    if isinstance(form, Dialect):
+        return Loaded(form.load_module().decode(files, name=name), form, size, {})
     return Loaded(form.load_module().decode(files), form, size, {})
 
 
-def _folder_form(files: Folder, *wanted: str) -> FolderKind:
-    """Return folder_of_content(). Its error names a broken link that is in place of a file."""
+def _folder_form(files: Folder, *wanted: str) -> tuple[AnyFormat, str]:
+    """Return folder_of_content(), else the tool of a file of cameras in the folder, with the name of that file.
+
+    The error names a broken link that is in place of a file.
+    """
     try:
-        return folder_of_content(files, *wanted)
+        return folder_of_content(files, *wanted), ""
     except InvalidFile:
+        if not wanted or "Cameras" in wanted:
+            found = next(((form, name) for form, name in dialects_in(files) if not lacks(form, files)), None)
+            if found is not None:
+                return found
         if files.broken is not None:
-            found = f"is a symbolic link to {files.broken.readlink()}, which does not exist"
-            raise InvalidFile(f"{found}; allowed: a file", source=str(files.broken)) from None
+            told = f"is a symbolic link to {files.broken.readlink()}, which does not exist"
+            raise InvalidFile(f"{told}; allowed: a file", source=str(files.broken)) from None
         raise
+
+
+def _tool_of(source: str | Path) -> Dialect | None:
+    """Return the tool whose cameras a file holds; None for any other file, for a stream and for a pipe."""
+    path = Path(source)
+    if str(source) == STREAM or not path.is_file():
+        return None
+    with path.open("rb") as file:
+        return dialect_of(path.name, file.read(HEAD_CAMERAS))
+
+
+def _decode_tool(path: Path, form: Dialect, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
+    """Read cameras of another tool from their file. The capture is the folder above, if it is in a subfolder of it."""
+    _require_kind(form, kinds)
+    root, name = capture_of(path, form)
+    return Loaded(form.load_module().decode(Folder(root, {}), name=name), form, path.stat().st_size, {})
+
+
+def capture_of(path: Path, form: Dialect) -> tuple[Path, str]:
+    """Return the folder of the capture that a file of cameras belongs to, and the path of the file in it."""
+    path = path.absolute()
+    for place in sorted(form.places, key=len, reverse=True):
+        parts = Path(place).parts
+        if parts and path.parent.parts[-len(parts) :] == parts:
+            return path.parents[len(parts)], f"{place}/{path.name}"
+    return path.parent, path.name
+
+
+def unread_cameras(source: str | Path, read: str) -> list[tuple[str, str]]:
+    """Return the files of cameras in a folder that are not read, each with its tool and the reason.
+
+    read: the file that is read, '' if there is none.
+    """
+    path = Path(source)
+    if not is_folder(path):
+        return []
+    with blame(str(source)):
+        files = Folder(path, {})
+        known = [(name, form, lacks(form, files)) for form, name in dialects_in(files)]
+        others = [(name, unread_file(name)) for name in files.names("")]
+    because = f"{read} is" if read else "their poses are searched"
+    found = [
+        (f"{name} of {form.title}", f"it has poses without {missing}" if missing else because)
+        for name, form, missing in known
+        if not read or not _covers(read, name)
+    ]
+    return found + [(f"{name} of {tool[0]}", f"allowed: {tool[1]}") for name, tool in others if tool]
+
+
+def _covers(read: str, name: str) -> bool:
+    """Whether a file is one of those that were read: it is named, or all files with its ending in its folder are."""
+    folder, star, ending = read.partition("*")
+    return name == read or bool(star and name.startswith(folder) and name.endswith(ending))
 
 
 def _decode_member(path: Path, form: FolderKind, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:

@@ -27,7 +27,8 @@ def test_every_format_and_stage_has_its_line() -> None:
     def files(folder: str, pattern: str = "*") -> set[str]:
         return {f"nerfbake.{folder}.{path.stem}" for path in (PACKAGE / folder).glob(f"[!_]{pattern}.py")}
 
-    assert {f"nerfbake.formats.{form.module}" for form in catalog.FORMATS + catalog.FOLDERS} == set(formats())
+    lines = catalog.FORMATS + catalog.FOLDERS + catalog.DIALECTS
+    assert {f"nerfbake.formats.{form.module}" for form in lines} == set(formats())
     assert set(public_names_of("stages").values()) == files("stages", "*_to_*")
     assert set(public_names_of("scene").values()) <= files("scene")
 
@@ -39,6 +40,10 @@ def test_every_line_of_the_catalog_is_true() -> None:
         assert form.name == form.suffix.removeprefix(".")
     for kind in catalog.FOLDERS:
         assert kind.scene in scenes
+    for dialect in catalog.DIALECTS:
+        module = dialect.load_module()
+        assert all(callable(getattr(module, name)) for name in ("recognise", "decode"))
+        assert hasattr(module, "encode") == bool(dialect.written_as)
     for package in ("nerfbake", "nerfbake.jobs"):
         for name, home in public_names(package).items():
             assert callable(getattr(import_module(home), name))

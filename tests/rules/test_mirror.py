@@ -59,7 +59,7 @@ def test_every_folder_of_tests_mirrors_a_folder_and_every_package_has_one() -> N
 
 def test_a_module_is_imported_by_a_test_or_by_a_module_that_a_test_imports() -> None:
     """Helpers count with the modules of their package that import them. Formats always count: each has frozen files."""
-    formats = {f"nerfbake.formats.{form.module}" for form in catalog.FORMATS + catalog.FOLDERS}
+    formats = {f"nerfbake.formats.{form.module}" for form in catalog.FORMATS + catalog.FOLDERS + catalog.DIALECTS}
     near = with_helpers(formats.union(*map(imported, TESTS.rglob("*.py"))))
     one_further = near.union(*(imported(MODULES[name]) for name in near))
     assert {name for name in MODULES if name.split(".")[1] in LAYERS} - one_further == set()
