@@ -132,6 +132,7 @@ FORMATS = (
     Format("vdb", "Volume", ".vdb", "volume.openvdb", "OpenVDB grids"),
     Format("nvdb", "Volume", ".nvdb", "volume.nanovdb", "NanoVDB grid"),
     Format("tar", "LatticeField", ".tar", "field.dvgo", "DirectVoxGO", writable=False),
+    Format("tar", "FunctionField", ".tar", "field.nerf_pytorch", "nerf-pytorch", beside=True, writable=False),
     Format("pt", "N3Tree", ".pt", "field.svraster", "SVRaster", writable=False),
     Format("ckpt", "FunctionField", ".ckpt", "field.nerfstudio", "nerfstudio", writable=False),
     Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),

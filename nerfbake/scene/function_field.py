@@ -36,7 +36,7 @@ class Fields(Protocol):
 class Occupancy(NamedTuple):
     """Which cells may have a density, as the training program recorded it. The networks have any values elsewhere.
 
-    cells  (C, R, R, R) bool: the cells [x][y][z] of nested boxes
+    cells  (C, X, Y, Z) bool: the cells of nested boxes
     boxes  (C, 2, 3) float64: lowest and highest corner of each, in the trained coordinates, the smallest first. The
            smallest one that contains a point decides; outside all of them the density is 0
     """
@@ -46,10 +46,10 @@ class Occupancy(NamedTuple):
 
     def at(self, points: Points) -> Bits:
         """Return whether there may be a density at points (m, 3), in the trained coordinates."""
-        found, R = np.zeros(len(points), bool), self.cells.shape[1]
+        found, counts = np.zeros(len(points), bool), np.array(self.cells.shape[1:])
         for cells, box in zip(reversed(self.cells), reversed(self.boxes), strict=True):
-            place = np.floor((points - box[0]) * (R / (box[1] - box[0]))).astype(np.int64)
-            inside = ((place >= 0) & (place < R)).all(axis=1)
+            place = np.floor((points - box[0]) * (counts / (box[1] - box[0]))).astype(np.int64)
+            inside = ((place >= 0) & (place < counts)).all(axis=1)
             x, y, z = place[inside].T
             found[inside] = cells[x, y, z]
         return found
@@ -105,10 +105,10 @@ class FunctionField(Scene):
             require_shape("the field's unit cube", self.unit, (2, 3), np.float64)
         if self.occupied is not None:
             cells, boxes = self.occupied
-            C, R = cells.shape[:2] if cells.ndim == 4 else (0, 0)
-            if cells.dtype != np.bool_ or not 1 <= C <= MAX_CASCADES or cells.shape[1:] != (R, R, R) or R < 1:
+            C = len(cells) if cells.ndim == 4 and 0 not in cells.shape else 0
+            if cells.dtype != np.bool_ or not 1 <= C <= MAX_CASCADES:
                 found = f"has shape {cells.shape}, dtype {cells.dtype}"
-                raise InvalidScene(Problem("the occupancy", found, f"(C, R, R, R) bool, C of 1 to {MAX_CASCADES}"))
+                raise InvalidScene(Problem("the occupancy", found, f"(C, X, Y, Z) bool, C of 1 to {MAX_CASCADES}"))
             require_shape("the occupancy's boxes", boxes, (C, 2, 3), np.float64)
 
     def __str__(self) -> str:

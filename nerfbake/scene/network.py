@@ -93,9 +93,14 @@ class Frequencies:
     """Positional encoding: x, y, z, then the sine of x times each frequency, of y, of z, then the cosines likewise.
 
     frequencies  (k,) float64, in radians per unit
+    rounded      as JAX and nerfstudio compute them: angles are products of x, `unit` and a frequency in float32, and
+                 cosines are sines of an angle plus pi/2, added in float32. At 2^9 x this is 1e-4 beside the cosine
+    unit         radians per unit at the frequency 1
     """
 
     frequencies: Floats
+    rounded: bool = False
+    unit: float = 1.0
 
     def __str__(self) -> str:
         return f"{len(self.frequencies)} frequencies"
@@ -106,12 +111,19 @@ class Frequencies:
 
     def __call__(self, points: Points | Singles) -> Singles:
         """(3 + 6 k, m) float32 code of points or directions (m, 3)."""
-        angles = np.asarray(points, np.float64).T[:, None, :] * self.frequencies[:, None]
-        sine, cosine = sine_cosine(angles.reshape(3 * len(self.frequencies), len(points)))
+        count = 3 * len(self.frequencies), len(points)
+        if self.rounded:
+            scaled = np.asarray(points, np.float32).T[:, None, :] * np.float32(self.unit)
+            angles = (scaled * self.frequencies.astype(np.float32)[:, None]).reshape(count)
+            sine = sine_cosine(angles.astype(np.float64))[0]
+            cosine = sine_cosine((angles + np.float32(np.pi / 2)).astype(np.float64))[0]
+        else:
+            wide = np.asarray(points, np.float64).T[:, None, :] * self.unit
+            sine, cosine = sine_cosine((wide * self.frequencies[:, None]).reshape(count))
         return np.concatenate([np.asarray(points).T, sine, cosine]).astype(np.float32)
 
     def problems(self) -> list[Problem]:
-        return number_problems("frequencies", self.frequencies, most=1e6)
+        return number_problems("frequencies", self.frequencies * self.unit, most=1e6)
 
 
 @dataclass(frozen=True, eq=False)

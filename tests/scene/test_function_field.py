@@ -57,6 +57,14 @@ def test_the_smallest_box_with_a_point_decides_where_there_may_be_a_density() ->
     assert_array_equal(field.density(points)[0] > 0, [True, False, True, False])
 
 
+def test_cells_may_be_longer_along_an_axis() -> None:
+    cells = np.zeros((1, 1, 2, 4), bool)
+    cells[0, 0, 1, 2] = True
+    field = replace(linear(), occupied=Occupancy(cells, BOX[None]))
+    points = np.array([[0.9, 0.5, 0.25], [-0.9, 0.1, 0.4], [0.0, -0.5, 0.25], [0.0, 0.5, 0.75]])
+    assert_array_equal(field.density(points)[0] > 0, [True, True, False, False])
+
+
 def test_the_trained_world_takes_the_cameras_along() -> None:
     pose = np.eye(4)
     pose[:3, 3] = [0.125, 0.25, -0.25]

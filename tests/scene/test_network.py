@@ -23,6 +23,18 @@ def test_frequencies_by_hand() -> None:
     assert_allclose(code[:, 0], [0.5, 0.25, -1.0, *np.sin(angles), *np.cos(angles)], atol=1e-7)
 
 
+def test_rounded_cosines_are_sines_of_angles_in_float32() -> None:
+    x = np.linspace(3, 4, 50).astype(np.float32)
+    points = np.stack([x, x, x], axis=1)
+    code = Frequencies(np.array([512.0]), rounded=True)(points)
+    angles = x * np.float32(512)
+    assert_allclose(code[3], np.sin(angles.astype(float)), atol=1e-7)
+    assert_allclose(code[6], np.sin((angles + np.float32(np.pi / 2)).astype(float)), atol=1e-7)
+    assert np.abs(code[6] - np.cos(angles.astype(float))).max() > 2e-5
+    scaled = Frequencies(np.array([3.3]), rounded=True, unit=0.7)(points)[3]
+    assert_allclose(scaled, np.sin((np.float32(0.7) * x * np.float32(3.3)).astype(float)), atol=1e-7)
+
+
 def test_shifted_polynomials_are_those_of_half_of_d_plus_1() -> None:
     colour = HeadColour(mlp(np.zeros((3, 17))), "shifted")
     x, y, z = (d + 1) / 2 if (d := np.array([0.48, -0.6, 0.64])).any() else d

@@ -11,6 +11,7 @@ import numpy as np
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.field.nerfacto import field_of_nerfacto
 from nerfbake.formats.field.torch_model import TorchModel
+from nerfbake.formats.field.vanilla_nerf import VANILLA, field_of_vanilla_nerf, refuse_relatives
 from nerfbake.formats.wire.torch import mentions
 from nerfbake.scene.function_field import FunctionField
 
@@ -25,7 +26,10 @@ def decode(view: memoryview) -> FunctionField:
     model = NerfstudioModel(view)
     if "field.mlp_base.model.0.hash_table" in model.state:
         return field_of_nerfacto(model, np.eye(3, 4))
-    raise InvalidFile(Problem("pipeline", "holds no model that is known", "nerfacto"))
+    if VANILLA in model.state:
+        return field_of_vanilla_nerf(model, np.eye(3, 4))
+    refuse_relatives(model)
+    raise InvalidFile(Problem("pipeline", "holds no model that is known", "nerfacto, vanilla-nerf"))
 
 
 class NerfstudioModel(TorchModel):
