@@ -24,7 +24,8 @@ from nerfbake.jobs import SplatsOptions, SplatsViews, bake_splats
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.photographs import read_photographs
-from nerfbake.jobs.splat_voxels import EPOCHS, SplatVoxels, sample_splats
+from nerfbake.jobs.reading_options import EPOCHS, ReadingOptions
+from nerfbake.jobs.splat_voxels import sample_splats
 from nerfbake.jobs.steps import SILENT
 from nerfbake.stages.views_to_error import measure_views
 
@@ -83,7 +84,7 @@ def _converted(scenes: Scenes, figures: dict[str, float]) -> list[list[Any]]:
     for resolution in RESOLUTIONS:
         for epochs in (0, EPOCHS):
             with announced(f"{FILES[0]} in {resolution}^3, {epochs} epochs"):
-                work = partial(convert, resolution=resolution, options=SplatVoxels(epochs=epochs))
+                work = partial(convert, resolution=resolution, options=ReadingOptions(epochs=epochs))
                 seconds, (octree, shown) = _best(work, 1)
                 decibels = [_psnr(shown, octree, samples) for samples in (1, 2)]
             leaves, told = int(octree.childless.sum()), [f"{each:.2f}" for each in decibels]

@@ -165,14 +165,19 @@ def without_effect(*names: str, here: str, allowed: str) -> None:
 
 
 def bundled(
-    name: str, kind: str, *options: Callable[[Command], Command], check: Callable[[Any], None] | None = None
+    name: str,
+    kind: str,
+    *options: Callable[[Command], Command],
+    check: Callable[[Any], None] | None = None,
+    **defaults: object,
 ) -> Callable[[Command], Command]:
     """Add these options; pass the command one value `name` instead of the values of the options.
 
-    kind   class of this value, for example jobs.budgets.Budget. It is imported when the command runs, so that --help
-           stays fast. Each of its fields takes the value of the option with the same name; a field without an option
-           keeps its default
-    check  is called with the value, and raises an error for options that have no effect or contradict each other
+    kind      class of this value, for example jobs.budgets.Budget. It is imported when the command runs, so that
+              --help stays fast. Each of its fields takes the value of the option with the same name; a field without
+              an option, or with one that is None, keeps its default
+    check     is called with the value, and raises an error for options that have no effect or contradict each other
+    defaults  of fields, in place of those of the class
     """
     module, _, class_name = kind.rpartition(".")
 
@@ -180,7 +185,8 @@ def bundled(
         @functools.wraps(function)
         def command(*args: object, **others: object) -> object:
             make = getattr(import_module(f"nerfbake.{module}"), class_name)
-            value = make(**{field: others.pop(field) for field in signature(make).parameters if field in others})
+            fields = {field: others.pop(field) for field in signature(make).parameters if field in others}
+            value = make(**defaults | {field: given for field, given in fields.items() if given is not None})
             if check is not None:
                 check(value)
             return function(*args, **{name: value}, **others)
@@ -350,45 +356,36 @@ def grid_options(*, splats: bool = False) -> Callable[[Command], Command]:
     )
 
 
-def splat_options(up: str, default: Literal["stated"] | None) -> Callable[[Command], Command]:
-    """Add --opacity-min, --epochs and an option for the up axis; pass the command `splats`, a SplatVoxels.
+def reading_options(
+    *options: Callable[[Command], Command], in_up: Literal["stated"] | None
+) -> Callable[[Command], Command]:
+    """Add these options, --opacity-min, --in-up and --epochs; pass the command `options`, a ReadingOptions.
 
-    up: the name of that option; default: stated for the axis that the file states, else -y; None to keep the world of
-    the splats.
+    in_up: the default; stated: the axis of splats that the file states, else -y; None: keep their world.
     """
-    default_text = "keep the world of IN" if default is None else "the axis that IN states, else -y"
-
-    def add(function: Command) -> Command:
-        @click.option(
+    default_text = "keep the world of IN" if in_up is None else "the axis that IN states, else -y"
+    return bundled(
+        "options",
+        "jobs.reading_options.ReadingOptions",
+        *options,
+        click.option(
             "--opacity-min",
             type=NumberRange(0, 1),
             help="Leave out splats of a lower opacity (splats only).  [default: 1/255]",
-        )
-        @click.option(
-            up,
-            "splats_up",
+        ),
+        click.option(
+            "--in-up",
             type=click.Choice(["x", "-x", "y", "-y", "z", "-z"]),
             help="Up axis of splats, which becomes z (splats only): -y in every .spz and in most other files.  "
             f"[default: {default_text}]",
-        )
-        @click.option(
+        ),
+        click.option(
             "--epochs",
             type=click.IntRange(0, 100),
             help="Passes over pictures of the splats, to which the voxels are fitted (splats only).  [default: 1]",
-        )
-        @functools.wraps(function)
-        def command(
-            *args: object, opacity_min: float | None, splats_up: Any, epochs: int | None, **others: object
-        ) -> object:
-            from nerfbake.jobs.splat_voxels import SplatVoxels
-
-            given: dict[str, Any] = {"opacity_min": opacity_min, "up": splats_up or default, "epochs": epochs}
-            splats = SplatVoxels(**{name: value for name, value in given.items() if value is not None})
-            return function(*args, splats=splats, **others)
-
-        return command
-
-    return add
+        ),
+        in_up=in_up,
+    )
 
 
 def _check_budget(budget: Budget) -> None:

@@ -21,9 +21,9 @@ class Destination:
     """Paths and format of a report, and the path of its chart."""
 
     kind: str
-    output: str | None
-    plot: str | None
-    force: bool
+    output: str | None = None
+    plot: str | None = None
+    force: bool = False
 
     def require(self) -> None:
         """Raise NerfbakeError if the report or the chart could not be written. Call it before measuring."""

@@ -13,8 +13,8 @@ from nerfbake.cli.params import (
     budget_options,
     console_options,
     octree_target_argument,
+    reading_options,
     source_argument,
-    splat_options,
 )
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
@@ -34,14 +34,6 @@ RESAMPLE = (
     help="Voxels along each axis, 1 to 4096; of splats along the longest.  [default: the finest of a tree; twice that "
     "of a lattice; 256, fewer if splats are large or do not fit into memory]",
 )
-@click.option(
-    "--box",
-    type=PartBox(),
-    default="inner",
-    show_default=True,
-    help="Part of the scene. inner: without scenery and distant splats. all: the whole scene. X0,...,Z1: two opposite "
-    "corners of a box, in world coordinates of OUT (splats only).",
-)
 @click.option("--resample", type=click.Choice(["mean", "nearest"]), default="mean", show_default=True, help=RESAMPLE)
 @click.option(
     "--layout",
@@ -58,17 +50,27 @@ RESAMPLE = (
     help="Number type of the values in OUT.",
 )
 @click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves below this density (1/world unit) as empty.")
-@click.option(
-    "--basis",
-    type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
-    help="Spherical-harmonics basis of the colours (lattices and splats only).  [default: SH9; that of the splats]",
+@reading_options(
+    click.option(
+        "--box",
+        type=PartBox(),
+        default="inner",
+        show_default=True,
+        help="Part of the scene. inner: without scenery and distant splats. all: the whole scene. X0,...,Z1: two "
+        "opposite corners of a box, in world coordinates of OUT (splats only).",
+    ),
+    click.option(
+        "--basis",
+        type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
+        help="Spherical-harmonics basis of the colours (lattices and splats only).  [default: SH9; that of the splats]",
+    ),
+    click.option(
+        "--scale",
+        type=NumberRange(1e-6, 1e6),
+        help="Scale factor for world coordinates (lattices only).",
+    ),
+    in_up=None,
 )
-@click.option(
-    "--scale",
-    type=NumberRange(1e-6, 1e6),
-    help="Scale factor for world coordinates (lattices only).",
-)
-@splat_options("--up", None)
 @budget_options
 @console_options
 def svo(source: Source, target: Target, console: Console, **options: Any) -> None:
@@ -81,7 +83,7 @@ def svo(source: Source, target: Target, console: Console, **options: Any) -> Non
       nerfbake svo chair.npz chair.svo.pb --resolution 128
       nerfbake svo ckpt.npz chair.svo.pb --basis SH16 --min-psnr 40
       nerfbake svo phone.npz phone.svo.pb --box all
-      nerfbake svo scene.ply scene.svo.pb --resolution 512 --box=-1,-1,-1,1,1,1 --up=-y
+      nerfbake svo scene.ply scene.svo.pb --resolution 512 --box=-1,-1,-1,1,1,1 --in-up=-y
       nerfbake svo chair.npz small.svo.npz --resolution 100x80x60 --layout compact --dtype float16
     """
 

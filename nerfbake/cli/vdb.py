@@ -13,8 +13,8 @@ from nerfbake.cli.params import (
     budget_options,
     codec_option,
     console_options,
+    reading_options,
     source_argument,
-    splat_options,
     target_argument,
 )
 from nerfbake.console import Console
@@ -46,15 +46,17 @@ GRIDS = (
     show_default=True,
     help="Up axis of OUT. The up axis of IN is z; for splats see --in-up.",
 )
-@click.option(
-    "--box",
-    type=PartBox(),
-    default="inner",
-    show_default=True,
-    help="Part of splats: those that are not far outside, all of them, or those between two opposite corners of a box "
-    "in the world of OUT with z up (splats only).",
+@reading_options(
+    click.option(
+        "--box",
+        type=PartBox(),
+        default="inner",
+        show_default=True,
+        help="Part of splats: those that are not far outside, all of them, or those between two opposite corners of a "
+        "box in the world of OUT with z up (splats only).",
+    ),
+    in_up="stated",
 )
-@splat_options("--in-up", "stated")
 @budget_options
 @console_options
 def vdb(source: Source, target: Target, console: Console, **options: Any) -> None:

@@ -46,6 +46,7 @@ from .pictures import ViewSelection as ViewSelection
 from .pictures import render_views as render_views
 from .poses import PosesResult as PosesResult
 from .poses import find_poses as find_poses
+from .reading_options import ReadingOptions as ReadingOptions
 from .refits import RefitOptions as RefitOptions
 from .refits import RefitReference as RefitReference
 from .refits import RefitResult as RefitResult
@@ -55,7 +56,6 @@ from .samples import write_sample_n3tree as write_sample_n3tree
 from .samples import write_sample_stage1 as write_sample_stage1
 from .shaders import write_shaders as write_shaders
 from .splat_choice import SplatChoice as SplatChoice
-from .splat_voxels import SplatVoxels as SplatVoxels
 from .splats import SplatsOptions as SplatsOptions
 from .splats import SplatsResult as SplatsResult
 from .splats import SplatsViews as SplatsViews

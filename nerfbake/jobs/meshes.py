@@ -244,7 +244,7 @@ def bake_mesh(
     else:
         Budget(min_psnr=min_psnr).require(place)
     light = None if file.environment is None else _read_light(steps, Source(file.environment))
-    reading = Reading(steps, source, splats=upright_without(pictures.views))
+    reading = Reading(steps, source, options=upright_without(pictures.views))
     reading.use_inner_cube()
     field = reading.field(visible="no surface")
     splats = reading.shown if isinstance(reading.shown, Splats) else None

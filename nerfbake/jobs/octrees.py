@@ -9,8 +9,8 @@ from nerfbake import memory
 from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
 from nerfbake.jobs.grids import require_grids, warn_about_halves
-from nerfbake.jobs.readings import FIELDS, TAKEN, Reading
-from nerfbake.jobs.splat_voxels import Part, SplatVoxels
+from nerfbake.jobs.reading_options import ReadingOptions
+from nerfbake.jobs.readings import TAKEN, Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
@@ -27,15 +27,12 @@ def bake_octree(
     target: AnyTarget,
     *,
     resolution: int | tuple[int, int, int] | None = None,
-    box: Part = "inner",
-    splats: SplatVoxels = SplatVoxels(),
+    options: ReadingOptions = ReadingOptions(),
     resample: Resample = "mean",
     layout: Layout = "full",
     dtype: Literal["float32", "float16"] = "float32",
     sigma_min: float | None = None,
     no_child: int | None = None,
-    basis: str | None = None,
-    scale: float | None = None,
     budget: Budget = Budget(),
     steps: Steps = SILENT,
 ) -> SparseVoxelOctree:
@@ -44,13 +41,8 @@ def bake_octree(
     Reads `source` and the cameras of the budget. Writes `target`, or `target`.rejected if the budget is missed. Raises
     NerfbakeError; errors that depend on the arguments alone are raised before anything is read.
 
-    box       part of the scene. inner: of a scene with scenery its inner cube, of splats those that are not far
-              outside; all: also the shells around it, at most at 4096^3, or all splats; x0, y0, z0, x1, y1, z1: the
-              splats in this box of the octree's world
-    splats    how splats become voxels
+    options   how the scene becomes an octree
     no_child  child index that means 'no child' in the file, 0 or -1; None: the default of the format
-    basis     SH basis of the colours (lattices and splats only); None: SH9, or the degree of the splats
-    scale     scale factor for world coordinates (lattices only)
 
     resolution, resample, layout, dtype and sigma_min are those of build_octree(), build_octree_from_lattice() and
     build_octree_from_splats(). Octrees and volumes, which have their own voxels, take the layout alone.
@@ -63,19 +55,9 @@ def bake_octree(
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
-    reading = Reading(steps, source, splats=splats, part=box)
-    reading.require(
-        budget, resolution=resolution, sigma_min=sigma_min, dtype=dtype, resample=resample, basis=basis, scale=scale
-    )
-    octree = reading.octree(
-        resolution=resolution,
-        basis=basis,
-        scale=scale,
-        resample=resample,
-        layout=layout,
-        dtype=dtype,
-        sigma_min=sigma_min,
-    )
+    reading = Reading(steps, source, options=options)
+    reading.require(budget, resolution=resolution, sigma_min=sigma_min, dtype=dtype, resample=resample)
+    octree = reading.octree(resolution=resolution, resample=resample, layout=layout, dtype=dtype, sigma_min=sigma_min)
     octree = octree.with_layout(layout)  # of an octree, which is not made anew
     with target.writing(steps, octree, no_child=no_child) as written:
         judge_output(written.path, reading.shown, budget, made_from=source.name, name=target.path, steps=steps)
@@ -126,8 +108,7 @@ def bake_volume(
     resolution: int | tuple[int, int, int] | None = None,
     sigma_min: float | None = None,
     up: Literal["y", "z"] = "z",
-    box: Part = "inner",
-    splats: SplatVoxels = SplatVoxels(up="stated"),
+    options: ReadingOptions = ReadingOptions(in_up="stated"),
     budget: Budget = Budget(),
     steps: Steps = SILENT,
 ) -> Volume:
@@ -140,9 +121,8 @@ def bake_volume(
     codec       of the format: none or zip; None: the default of the format
     resolution  of a PlenOctree, a lattice or splats, as in build_octree()
     sigma_min   of a PlenOctree, a lattice or splats, as in build_octree()
-    up          up axis of `target`; the up axis of `source` is z, or that of `splats`
-    box         part of splats, as in bake_octree()
-    splats      how splats become voxels. By default the axis is up that their file states, else -y
+    up          up axis of `target`; the up axis of `source` is z, or that of `options`
+    options     how the scene becomes an octree. By default the axis of splats is up that their file states, else -y
 
     Raises NerfbakeError.
 
@@ -157,8 +137,8 @@ def bake_volume(
     form = target.require("Volume", codec=codec)
     budget.require(target)
     wanted = require_grids(form, grids, half=half)
-    reading = Reading(steps, source, splats=splats, part=box)
-    reading.require(budget, taken=TAKEN | {"box": (Splats,), "up": FIELDS}, resolution=resolution)
+    reading = Reading(steps, source, options=options)
+    reading.require(budget, taken=TAKEN | {"box": (Splats,)}, resolution=resolution)
     tree, lattice = (isinstance(reading.scene, kind) for kind in (N3Tree, LatticeField))
     octree = reading.octree(resolution=resolution, sigma_min=sigma_min, layout="full" if lattice else "compact")
     if budget.min_psnr is None:

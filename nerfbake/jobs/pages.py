@@ -321,7 +321,7 @@ class _Content(NamedTuple):
 def _read(steps: Steps, source: Source, request: _Request, choice: GridChoice) -> _Content:
     """Read the source."""
     standing = upright_without(request.photographs.cameras)
-    reading = Reading(steps, source, *FIELDS, Meshes, Stage1, BakedAtlas, choice=choice, splats=standing)
+    reading = Reading(steps, source, *FIELDS, Meshes, Stage1, BakedAtlas, choice=choice, options=standing)
     tell_unused(steps, source, reading.scene)
     if isinstance(reading.scene, Volume):
         if request.data == "compressed" or request.anew:

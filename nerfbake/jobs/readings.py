@@ -12,7 +12,8 @@ from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.grids import GridChoice, tell_unused
-from nerfbake.jobs.splat_voxels import Part, SplatVoxels, sample_splats
+from nerfbake.jobs.reading_options import ReadingOptions
+from nerfbake.jobs.splat_voxels import sample_splats
 from nerfbake.jobs.steps import Steps
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.lattice_field import LatticeField
@@ -42,18 +43,18 @@ TAKEN: dict[str, tuple[type, ...]] = {
     "basis": (LatticeField, Splats),
     "scale": (LatticeField,),
     "opacity_min": (Splats,),
-    "up": (Splats,),
+    "in_up": (Splats,),
     "epochs": (Splats,),
 }
-_DEFAULTS = {"resample": "mean", "box": "inner", "dtype": "float32"}  # of all other options it is None
+_DEFAULTS = {"resample": "mean", "dtype": "float32"}  # of all other options it is None
 
 
-def upright_without(cameras: str | None) -> SplatVoxels:
+def upright_without(cameras: str | None) -> ReadingOptions:
     """Return how splats become voxels that are looked at: upright, or in the world of their cameras if there are any.
 
     Octrees of splats keep their world by default, and volumes are upright.
     """
-    return SplatVoxels(up="stated") if cameras is None else SplatVoxels()
+    return ReadingOptions(in_up="stated") if cameras is None else ReadingOptions()
 
 
 class Reading:
@@ -76,16 +77,14 @@ class Reading:
         source: Source,
         *kinds: type,
         choice: GridChoice = GridChoice(),
-        splats: SplatVoxels = SplatVoxels(),
-        part: Part = "inner",
+        options: ReadingOptions = ReadingOptions(),
     ) -> None:
         """Read a scene of one of these types; by default of one that becomes an octree. Raises NerfbakeError.
 
-        choice  the grids of a volume, and its up axis
-        splats  how splats become voxels
-        part    of the scene, as in bake_octree()
+        choice   the grids of a volume, and its up axis
+        options  how it becomes an octree
         """
-        self._steps, self._source, self._choice, self._splats, self._part = steps, source, choice, splats, part
+        self._steps, self._source, self._choice, self._options = steps, source, choice, options
         read = source.read_with_format(steps, *(kinds or FIELDS))
         self.data = read.data
         self.scene = self.shown = choice.of(steps, source, read.scene)
@@ -98,16 +97,12 @@ class Reading:
 
         budget   its cameras must be in the world of the octree
         taken    the scenes on which an option has an effect
-        options  by name; how splats become voxels, and their part, are known
+        options  of octree(), by name; those of the reading are known
         """
         if isinstance(self.scene, Splats):
-            self._splats.require(budget, self.scene)
+            self._options.require(budget, self.scene)
         given = {name for name, value in options.items() if value not in (None, _DEFAULTS.get(name))}
-        given |= self._splats.given
-        if not isinstance(self._part, str):
-            given.add("box of six numbers")
-        elif self._part != "inner":
-            given.add("box")
+        given |= self._options.given
         for name in (name for name in taken if name in given):
             if not isinstance(self.scene, taken[name]):
                 option, *more = name.split(maxsplit=1)
@@ -141,8 +136,6 @@ class Reading:
         self,
         *,
         resolution: Size | None = None,
-        basis: str | None = None,
-        scale: float | None = None,
         resample: Resample = "mean",
         layout: Layout = "full",
         dtype: Literal["float32", "float16"] = "float32",
@@ -155,16 +148,14 @@ class Reading:
         """
         steps, source = self._steps, self._source
         made: dict[str, Any] = {"resolution": resolution, "layout": layout, "dtype": dtype, "sigma_min": sigma_min}
-        if self._part == "inner":
+        if self._options.box == "inner":
             self.use_inner_cube()
         if isinstance(self.scene, Splats):
-            part, options = self._part, self._splats
-            self.scene, self.shown = sample_splats(
-                steps, source, self.scene, options=options, part=part, basis=basis, **made
-            )
+            self.scene, self.shown = sample_splats(steps, source, self.scene, options=self._options, **made)
         elif isinstance(self.scene, LatticeField):
+            scale, basis = self._options.scale, self._options.basis or "SH9"
             self.shown = self.scene if scale is None else self.scene.scaled(scale)
-            self.scene = sample_lattice(steps, source, self.shown, basis=basis or "SH9", **made)
+            self.scene = sample_lattice(steps, source, self.shown, basis=basis, **made)
         elif isinstance(self.scene, Volume):
             self.scene = self._octree_of_volume(self.scene)
         elif isinstance(self.scene, N3Tree):

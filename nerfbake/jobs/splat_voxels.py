@@ -6,75 +6,38 @@ readings.py uses sample_splats() for all jobs.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import Literal
 
 from nerfbake import memory, progress
 from nerfbake.errors import MemoryLimit, UsageError
-from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source
+from nerfbake.jobs.reading_options import ReadingOptions
 from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.maths.affine import length
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
 from nerfbake.scene.origin import lost_origin
-from nerfbake.scene.splats import Splats, Up
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views, world_box
-from nerfbake.stages.splat_box import OPACITY_MIN, cut_splats, finest_voxels, inner_box, whole_box, with_z_up
+from nerfbake.stages.splat_box import cut_splats, finest_voxels, inner_box, whole_box, with_z_up
 
 RESOLUTION = 256  # most voxels along the longest edge, by default
 _COARSEST = 16  # fewest voxels along the longest edge, if they are chosen by the memory that is left
 _COARSER = 0.75  # of the voxels along an edge are tried next, if they do not fit into memory
-EPOCHS = 1
 # Number and edge of the pictures to which voxels are fitted. A real scene in 512^3 has 36.97 dB with 160 pictures that
 # are used once, and 36.82 dB with 80 that are used twice, in a fifth less time. 144 stay below 40 seconds in 256^3.
 _FRAMES, _EDGE = 144, 400
 _JUDGES = 10  # number of other pictures, on which the loss is measured
 
-Part = Literal["inner", "all"] | tuple[float, ...]
 
-
-@dataclass(frozen=True, kw_only=True)
-class SplatVoxels:
-    """How splats become voxels.
-
-    opacity_min  splats that are thinner are left out
-    up           axis of the splats that becomes z; stated: that which the file states, else -y; None: the octree keeps
-                 the world of the splats
-    epochs       passes over the pictures of the splats to which the voxels are fitted; 0: they are not fitted
-    """
-
-    opacity_min: float = OPACITY_MIN
-    up: Up | Literal["stated"] | None = None
-    epochs: int = EPOCHS
-
-    def up_of(self, splats: Splats) -> Up | None:
-        """Return the axis of these splats that becomes z; None to keep their world."""
-        return splats.up or "-y" if self.up == "stated" else self.up
-
-    def require(self, budget: Budget, splats: Splats) -> None:
-        """Raise UsageError for cameras in the world that the splats are turned away from."""
-        if (up := self.up_of(splats)) not in (None, "z") and budget.cameras is not None:
-            text = f"splats are turned until {up} is z, and `cameras` are not"
-            raise UsageError(f"{text}; allowed: z as the up axis of splats, which keeps their world")
-
-    @property
-    def given(self) -> set[str]:
-        """The options that are not the default; the axis that a file states is one, too."""
-        plain, default = replace(self, up=None) if self.up == "stated" else self, vars(SplatVoxels())
-        return {name for name, value in vars(plain).items() if value != default[name]}
-
-
-def choose_splats(
-    steps: Steps, source: Source, splats: Splats, options: SplatVoxels, part: Part = "inner"
-) -> tuple[Splats, Points]:
+def choose_splats(steps: Steps, source: Source, splats: Splats, options: ReadingOptions) -> tuple[Splats, Points]:
     """Return the splats that are converted, in the world of the octree, and the box (2, 3) of the voxels.
 
     Voxels stand at the origin of the splats. A box of six numbers is in the world before that shift.
     """
-    least = options.opacity_min
-    if options.up == "stated" and splats.up is not None:
+    least, part = options.opacity_min, options.box
+    if options.in_up == "stated" and splats.up is not None:
         steps.say(f"{source.name}: {splats.up} points up, as the file says")
     with source.blamed(steps, "cutting the splats"):
         splats.require_usable()
@@ -98,19 +61,16 @@ def sample_splats(
     source: Source,
     splats: Splats,
     *,
-    options: SplatVoxels = SplatVoxels(),
-    part: Part = "inner",
+    options: ReadingOptions = ReadingOptions(),
     resolution: int | tuple[int, int, int] | None = None,
-    basis: str | None = None,
     layout: Layout = "full",
     dtype: Literal["float32", "float16"] = "float32",
     sigma_min: float | None = None,
 ) -> tuple[SparseVoxelOctree, Splats]:
     """Convert splats to an octree, fit it to their pictures, and print what was left out and the loss.
 
-    Returns the octree, and the splats that it shows, in its world. part: inner: the splats without those far outside;
-    all: all of them; or those in the box x0, y0, z0, x1, y1, z1, in the world of the octree. The other options are
-    those of build_octree_from_splats().
+    Returns the octree, and the splats that it shows, in its world. The keywords besides `options` are those of
+    build_octree_from_splats().
     """
 
     from nerfbake.jobs.views import orbit_psnr, picture_views
@@ -120,7 +80,7 @@ def sample_splats(
     edges = {resolution} if isinstance(resolution, int) else set(resolution or ())
     if len(edges) > 1:
         raise UsageError("the voxels of splats are cubes; allowed: one number as `resolution`")
-    kept, box = choose_splats(steps, source, splats, options, part)
+    kept, box = choose_splats(steps, source, splats, options)
     with source.blamed(steps, "framing"):
         cameras = scatter_cameras(kept, frames=_FRAMES, edge=_EDGE)
     size = min(edges, default=0) or finest_voxels(kept, box, most=RESOLUTION)
@@ -138,7 +98,7 @@ def sample_splats(
                 opacity_min=0,
                 sigma_min=sigma_min,
                 pixel=pixel_of(cameras, box),
-                basis=basis,
+                basis=options.basis,
                 layout=layout,
                 dtype=dtype,
             )

@@ -11,7 +11,7 @@ from click.types import FloatParamType
 from nerfbake import catalog
 from nerfbake.cli.main import cli, run
 from nerfbake.cli.params import ByteSize
-from nerfbake.jobs import fits, hulls, lattices, splat_voxels
+from nerfbake.jobs import fits, hulls, lattices, reading_options
 from nerfbake.scene.camera import MAX_SAMPLES
 from tests.conftest import Shell
 
@@ -151,7 +151,7 @@ def help_of(command: str) -> str:
 def test_what_the_help_repeats_is_what_the_jobs_have() -> None:
     """Commands import their jobs when they run, so that the help stays fast: it cannot use the jobs' constants."""
     assert f"[default: {hulls.LEVEL};" in help_of("hull")
-    assert f"voxels are fitted (splats only). [default: {splat_voxels.EPOCHS}]" in help_of("svo")
+    assert f"voxels are fitted (splats only). [default: {reading_options.EPOCHS}]" in help_of("svo")
     assert f"its finest, at most {lattices.FINEST}]" in help_of("lattice")
     written = ", ".join(dict.fromkeys(form.name for scene in fits.KINDS for form in catalog.formats_of(scene)))
     assert f"if its extension names none: {written}." in help_of("fit")

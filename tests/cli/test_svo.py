@@ -56,7 +56,11 @@ def test_options_of_svo(shell: Shell, tmp_path: Path) -> None:
         (["svo", "a.npz", "b.svo.pb", "--sigma-min", "nan"], 2, "'--sigma-min': NaN is not allowed; allowed: a number"),
         (["svo", "a.npz", "b.svo.pb", "--box", "outer"], 2, "'outer' is not a box; allowed: x0,y0,z0,x1,y1,z1"),
         (["svo", "a.npz", "b.svo.pb", "--box=0,0,0,1,1,1"], 2, "--box of six numbers has no effect on a PlenOctree"),
-        (["svo", "a.npz", "b.svo.pb", "--up", "y"], 2, "--up has no effect on a PlenOctree; allowed: with splats"),
+        (
+            ["svo", "a.npz", "b.svo.pb", "--in-up", "y"],
+            2,
+            "--in-up has no effect on a PlenOctree; allowed: with splats",
+        ),
         (["svo", "a.npz", "b.svo.pb", "--max-memory", "many"], 2, "'many' is not a size; allowed: 4GiB"),
         (["svo", "a.npz", "b.svo.pb", "--max-memory", "100"], 1, "B; allowed: 100 B (--max-memory)"),
     ],
@@ -101,7 +105,7 @@ def test_a_plenoctree_may_be_compressed_too(tmp_path: Path) -> None:
 
 def test_options_of_splats(shell: Shell, tmp_path: Path) -> None:
     nerfbake.save(tmp_path / "a.ply", ball_of_splats())
-    options = ["--resolution", "16", "--box=-2,-2,0,2,2,2", "--opacity-min", "0.5", "--up=-y", "--epochs", "0"]
+    options = ["--resolution", "16", "--box=-2,-2,0,2,2,2", "--opacity-min", "0.5", "--in-up=-y", "--epochs", "0"]
     done = shell("svo", "a.ply", "b.svo.npz", *options)
     assert done.returncode == 0
     octree = load(tmp_path / "b.svo.npz", SparseVoxelOctree)

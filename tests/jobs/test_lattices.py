@@ -48,7 +48,7 @@ def _there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_svo_says_what_it_cost() -> None:
     steps = Listener()
-    octree = jobs.bake_octree("ckpt.npz", "a.svo.npz", basis="SH4", steps=steps)
+    octree = jobs.bake_octree("ckpt.npz", "a.svo.npz", options=jobs.ReadingOptions(basis="SH4"), steps=steps)
     assert_same_octree(load("a.svo.npz", SparseVoxelOctree), octree)
     assert_same_octree(octree, build_octree_from_lattice(load("ckpt.npz", LatticeField), basis="SH4"))
     note, cost, _ = steps.said
@@ -65,7 +65,11 @@ def test_the_command_takes_a_basis_a_scale_and_a_budget() -> None:
     assert_same_octree(octree, build_octree_from_lattice(lattice.scaled(1.5), basis="SH1", resolution=(6, 6, 6)))
     with pytest.raises(BudgetMissed, match="dB"):
         jobs.bake_octree(
-            "ckpt.npz", "c.svo.npz", basis="SH1", resolution=(3, 3, 3), budget=Budget(min_psnr=90, cameras="c.json")
+            "ckpt.npz",
+            "c.svo.npz",
+            options=jobs.ReadingOptions(basis="SH1"),
+            resolution=(3, 3, 3),
+            budget=Budget(min_psnr=90, cameras="c.json"),
         )
 
 
@@ -110,7 +114,7 @@ def test_an_octree_becomes_a_folder_whose_loss_is_told(tmp_path: Path) -> None:
     found = load(tmp_path / "out", LatticeField)
     assert_array_equal(found.box, told.box)
     assert_array_equal(found.density.reshape(told.shape)[told.links >= 0], told.density[told.links[told.links >= 0]])
-    jobs.bake_octree(tmp_path / "out", tmp_path / "back.svo.npz", basis="SH1")
+    jobs.bake_octree(tmp_path / "out", tmp_path / "back.svo.npz", options=jobs.ReadingOptions(basis="SH1"))
     with pytest.raises(OutputError, match="exists already"):
         jobs.bake_lattice(tmp_path / "tree.npz", tmp_path / "out", rounds=1)
 
@@ -135,6 +139,6 @@ def test_what_only_one_of_the_two_takes_is_refused(tmp_path: Path) -> None:
         jobs.bake_octree("ckpt.npz", "e.svo.npz", resample="nearest")
     jobs.write_sample_n3tree(tmp_path / "tree.npz", resolution=8)
     with pytest.raises(UsageError, match="`basis` has no effect on a PlenOctree; allowed: with a lattice or splats"):
-        jobs.bake_octree(tmp_path / "tree.npz", "e.svo.npz", basis="SH4")
+        jobs.bake_octree(tmp_path / "tree.npz", "e.svo.npz", options=jobs.ReadingOptions(basis="SH4"))
     with pytest.raises(InvalidFile, match=r"holds a lattice field \(`nerfbake svo` makes an octree of it\)"):
         jobs.bake_lod("ckpt.npz", "e.svo.npz", level=1)

@@ -20,7 +20,7 @@ from nerfbake import (
     save,
 )
 from nerfbake.errors import BudgetMissed, OutputError, UsageError
-from nerfbake.jobs import Budget, Target, bake_lod, bake_octree, readings
+from nerfbake.jobs import Budget, ReadingOptions, Target, bake_lod, bake_octree, readings
 from nerfbake.kernels.picture.metrics import psnr
 from nerfbake.scene.camera import look_at
 from tests.jobs.listener import Listener
@@ -80,7 +80,7 @@ def scenery(folder: Path) -> N3Tree:
 
 def test_the_box_of_scenery_is_the_inner_cube_or_everything(scenery: N3Tree, listener: Listener) -> None:
     inner = bake_octree("s.npz", "inner.svo.npz", steps=listener)
-    whole = bake_octree("s.npz", "all.svo.npz", box="all", steps=listener)
+    whole = bake_octree("s.npz", "all.svo.npz", options=ReadingOptions(box="all"), steps=listener)
     assert listener.said[::2] == [
         "s.npz: uses the inner cube of 64^3 and leaves out the scenery around it",
         "s.npz: uses all of the scene: 256x256x256 voxels, 64x64x64 of them in the inner cube of 64^3",
@@ -100,23 +100,23 @@ def test_a_whole_scene_is_coarser_where_an_octree_would_be_too_large(
     scenery: N3Tree, listener: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(readings, "MAX_SIZE", 128)
-    octree = bake_octree("s.npz", "all.svo.npz", box="all", steps=listener)
+    octree = bake_octree("s.npz", "all.svo.npz", options=ReadingOptions(box="all"), steps=listener)
     assert_same_octree(octree, build_octree(scenery, resolution=128))
     said = "s.npz: uses all of the scene: 128x128x128 voxels, 32x32x32 of them in the inner cube of 64^3"
     assert listener.said[0] == said
-    bake_octree("s.npz", "thin.svo.npz", resolution=(256, 64, 6), box="all", steps=listener)
+    bake_octree("s.npz", "thin.svo.npz", resolution=(256, 64, 6), options=ReadingOptions(box="all"), steps=listener)
     assert "256x64x6 voxels, 64x16x1.5 of them in the inner cube" in listener.said[2]
 
 
 @pytest.mark.usefixtures("folder")
 def test_a_scene_without_scenery_has_one_box(listener: Listener) -> None:
-    bake_octree("a.npz", "inner.svo.pb", box="inner", steps=listener)
-    bake_octree("a.npz", "all.svo.pb", box="all", steps=listener)
+    bake_octree("a.npz", "inner.svo.pb", options=ReadingOptions(box="inner"), steps=listener)
+    bake_octree("a.npz", "all.svo.pb", options=ReadingOptions(box="all"), steps=listener)
     assert Path("inner.svo.pb").read_bytes() == Path("all.svo.pb").read_bytes()
     assert len(listener.said) == 2  # the files
     Path("ckpt.npz").write_bytes(svox2_file())
     with pytest.raises(UsageError, match="`box` has no effect on a lattice"):
-        bake_octree("ckpt.npz", "c.svo.pb", box="all")
+        bake_octree("ckpt.npz", "c.svo.pb", options=ReadingOptions(box="all"))
 
 
 def test_what_a_reader_resamples_is_told(tmp_path: Path, listener: Listener) -> None:

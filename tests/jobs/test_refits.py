@@ -19,9 +19,9 @@ from nerfbake import (
     save,
 )
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, OutputError, UsageError
-from nerfbake.jobs import RefitOptions, RefitReference, Source, bake_octree, refit_file
+from nerfbake.jobs import ReadingOptions, RefitOptions, RefitReference, Source, bake_octree, refit_file
 from nerfbake.jobs.photographs import read_photographs
-from nerfbake.jobs.splat_voxels import Part
+from nerfbake.jobs.reading_options import Part
 from nerfbake.jobs.steps import SILENT
 from tests.jobs.listener import Listener
 from tests.support.brick_fields import some_shelled_field
@@ -87,7 +87,7 @@ def test_it_comes_nearer_to_photographs_and_is_judged_by_others(tmp_path: Path) 
 @pytest.mark.parametrize(("box", "inner"), [("inner", True), ("all", False)])
 def test_pictures_of_scenery_show_what_the_octree_contains(box: Part, inner: bool, listener: Listener) -> None:
     save("s.npz", build_n3tree(some_shelled_field(basis=4)))
-    bake_octree("s.npz", "exact.svo.npz", box=box)
+    bake_octree("s.npz", "exact.svo.npz", options=ReadingOptions(box=box))
     reference, options = RefitReference(like="s.npz", frames=4, edge=24), RefitOptions(epochs=1, samples=1)
     before, _ = refit_file("exact.svo.npz", "out.svo.npz", reference, options=options, steps=listener).psnr
     assert before > 60  # the octree has the same values

@@ -32,7 +32,7 @@ from nerfbake.jobs import (
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.comparisons import ComparedViews
 from nerfbake.jobs.compressions import CompressionGoal
-from nerfbake.jobs.splat_voxels import SplatVoxels
+from nerfbake.jobs.reading_options import ReadingOptions
 from nerfbake.memory import memory_limit
 from nerfbake.scene.radiance_field import RadianceField
 from tests.jobs.listener import Listener
@@ -40,7 +40,7 @@ from tests.support.scenes import n3tree
 from tests.support.splats import ball_of_splats
 
 SMALL = ComparedViews(size=(64, 64))
-DIRECT = SplatVoxels(epochs=0)
+DIRECT = ReadingOptions(epochs=0)
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def decibels(path: str) -> float:
 
 @pytest.mark.usefixtures("ball")
 def test_voxels_are_fitted_to_pictures_of_the_splats(listener: Listener) -> None:
-    bake_octree("ball.ply", "direct.svo.npz", resolution=32, splats=DIRECT)
+    bake_octree("ball.ply", "direct.svo.npz", resolution=32, options=DIRECT)
     octree = bake_octree("ball.ply", "fitted.svo.npz", resolution=32, steps=listener)
     assert octree.size == (32, 32, 32)
     direct, fitted = decibels("direct.svo.npz"), decibels("fitted.svo.npz")
@@ -96,26 +96,26 @@ def test_the_same_bytes_every_time() -> None:
 @pytest.mark.usefixtures("ball")
 def test_large_splats_have_fewer_voxels(listener: Listener) -> None:
     save("fog.ply", fog(100, scale=0.25))
-    octree = bake_octree("fog.ply", "fog.svo.npz", splats=DIRECT, steps=listener)
+    octree = bake_octree("fog.ply", "fog.svo.npz", options=DIRECT, steps=listener)
     assert max(octree.size) == 28  # half as wide as a splat, in a box of 3.5
     assert listener.said[-2].startswith("fog.ply: in 28x28x28 voxels, ")
-    assert bake_octree("fog.ply", "finer.svo.npz", resolution=40, splats=DIRECT).size == (40, 40, 40)
+    assert bake_octree("fog.ply", "finer.svo.npz", resolution=40, options=DIRECT).size == (40, 40, 40)
 
 
 @pytest.mark.usefixtures("ball")
-@pytest.mark.parametrize("options", [DIRECT, SplatVoxels()], ids=["direct", "fitted"])
-def test_voxels_that_do_not_fit_into_memory_are_larger(options: SplatVoxels, listener: Listener) -> None:
+@pytest.mark.parametrize("options", [DIRECT, ReadingOptions()], ids=["direct", "fitted"])
+def test_voxels_that_do_not_fit_into_memory_are_larger(options: ReadingOptions, listener: Listener) -> None:
     """A set of 563 splats filled 6,999,813 voxels of 256^3 and was refused: fitting them needed 1.7 GiB."""
     save("fog.ply", fog(2000, scale=0.06))
     with memory_limit(8 << 20):
-        octree = bake_octree("fog.ply", "fog.svo.npz", splats=options, steps=listener)
+        octree = bake_octree("fog.ply", "fog.svo.npz", options=options, steps=listener)
         assert 16 <= max(octree.size) <= 56  # 78 are half as wide as a splat
         [told] = [line for line in listener.said if " dB against 3 pictures" in line]
         assert re.match(r"fog.ply: in (\d+)x\1x\1 voxels \(the finest that fit into memory\), \d+", told)
         with pytest.raises(MemoryLimit, match=r"fog\.ply"):
-            bake_octree("fog.ply", "other.svo.npz", resolution=78, splats=options)
+            bake_octree("fog.ply", "other.svo.npz", resolution=78, options=options)
     with memory_limit(1 << 18), pytest.raises(MemoryLimit):
-        bake_octree("fog.ply", "other.svo.npz", splats=options)
+        bake_octree("fog.ply", "other.svo.npz", options=options)
 
 
 class Shown(Exception):
@@ -155,18 +155,18 @@ def test_what_is_left_out_is_told(ball: Splats, listener: Listener) -> None:
     ball.means[:3] += 100
     ball.opacity[10:14] = 0.001
     save("far.ply", ball)
-    bake_octree("far.ply", "a.svo.npz", resolution=16, splats=DIRECT, steps=listener)
+    bake_octree("far.ply", "a.svo.npz", resolution=16, options=DIRECT, steps=listener)
     assert listener.said[0].startswith("far.ply: leaves out 3 splats of 400 outside the box -1.")
     assert listener.said[1] == "far.ply: leaves out 4 splats of an opacity below 0.0039"
-    whole = bake_octree("far.ply", "b.svo.npz", resolution=16, box="all", splats=DIRECT)
+    whole = bake_octree("far.ply", "b.svo.npz", resolution=16, options=replace(DIRECT, box="all"))
     assert whole.voxel_size[0] > 6
-    half = bake_octree("far.ply", "c.svo.npz", resolution=16, box=(0, -2, -2, 2, 2, 2), splats=DIRECT)
+    half = bake_octree("far.ply", "c.svo.npz", resolution=16, options=replace(DIRECT, box=(0, -2, -2, 2, 2, 2)))
     assert_allclose(half.origin, [0, -2, -2])
     assert half.size == (8, 16, 16)
     with pytest.raises(InvalidScene, match=r"far.ply: the box is 5, 5, 5, 6, 6, 6, without a splat"):
-        bake_octree("far.ply", "d.svo.npz", box=(5, 5, 5, 6, 6, 6))
+        bake_octree("far.ply", "d.svo.npz", options=ReadingOptions(box=(5, 5, 5, 6, 6, 6)))
     with pytest.raises(InvalidScene, match=r"far.ply: the splats have opacities up to 0.95"):
-        bake_octree("far.ply", "d.svo.npz", splats=SplatVoxels(opacity_min=0.99))
+        bake_octree("far.ply", "d.svo.npz", options=ReadingOptions(opacity_min=0.99))
 
 
 def colour_at(octree: SparseVoxelOctree, point: list[float]) -> np.ndarray:
@@ -177,8 +177,8 @@ def colour_at(octree: SparseVoxelOctree, point: list[float]) -> np.ndarray:
 
 @pytest.mark.usefixtures("ball")
 def test_up_turns_the_world() -> None:
-    own = bake_octree("ball.ply", "own.svo.npz", resolution=32, splats=DIRECT)
-    turned = bake_octree("ball.ply", "turned.svo.npz", resolution=32, splats=replace(DIRECT, up="-y"))
+    own = bake_octree("ball.ply", "own.svo.npz", resolution=32, options=DIRECT)
+    turned = bake_octree("ball.ply", "turned.svo.npz", resolution=32, options=replace(DIRECT, in_up="-y"))
     # Red, green and blue are x, y and z of the splats.
     assert_allclose(colour_at(own, [0, 0, 1]), [0.5, 0.5, 1], atol=0.1)
     assert_allclose(colour_at(turned, [0, 0, 1]), [0.5, 0, 0.5], atol=0.1)
@@ -189,7 +189,7 @@ def test_up_turns_the_world() -> None:
 @pytest.mark.usefixtures("ball")
 @pytest.mark.parametrize(("up", "top"), [("z", [0, 0, 1]), ("y", [0, 1, 0])])
 def test_a_volume_stands_upright(up: Literal["y", "z"], top: list[int]) -> None:
-    bake_volume("ball.ply", "ball.vdb", resolution=32, up=up, splats=replace(DIRECT, up="-y"))
+    bake_volume("ball.ply", "ball.vdb", resolution=32, up=up, options=replace(DIRECT, in_up="-y"))
     volume = load("ball.vdb", Volume)
     density, colour = volume.grid("density"), volume.grid("Cd")
     coords = density.topology.coords
@@ -214,22 +214,22 @@ def stated(name: str, axis: str, ball: Splats) -> None:
 def test_the_axis_that_a_file_states_is_up_unless_another_is_given(ball: Splats, listener: Listener) -> None:
     stated("z.ply", "0 0 1", ball)
     stated("old.ply", "y", ball)
-    usual = SplatVoxels(epochs=0, up="stated")
+    usual = ReadingOptions(epochs=0, in_up="stated")
     for name, splats, top in (
         ("z.ply", usual, [0.5, 0.5, 1]),  # z is blue
         ("old.ply", usual, [0.5, 0, 0.5]),
-        ("z.ply", replace(usual, up="-y"), [0.5, 0, 0.5]),
+        ("z.ply", replace(usual, in_up="-y"), [0.5, 0, 0.5]),
     ):
-        octree = bake_octree(name, "a.svo.npz", resolution=16, splats=splats, steps=listener)
+        octree = bake_octree(name, "a.svo.npz", resolution=16, options=splats, steps=listener)
         assert_allclose(colour_at(octree, [0, 0, 1]), top, atol=0.15)
         Path("a.svo.npz").unlink()
     assert [line for line in listener.said if "points up" in line] == ["z.ply: z points up, as the file says"]
     # Splats that are not turned fit the cameras of their capture.
     with pytest.raises(UsageError, match="until -y is z"):
-        bake_octree("old.ply", "b.svo.npz", splats=usual, budget=Budget(min_psnr=20, cameras="cameras.json"))
+        bake_octree("old.ply", "b.svo.npz", options=usual, budget=Budget(min_psnr=20, cameras="cameras.json"))
     with pytest.raises(InvalidFile, match=r"cameras\.json"):
         bake_octree(
-            "z.ply", "b.svo.npz", resolution=8, splats=usual, budget=Budget(min_psnr=20, cameras="cameras.json")
+            "z.ply", "b.svo.npz", resolution=8, options=usual, budget=Budget(min_psnr=20, cameras="cameras.json")
         )
 
 
@@ -248,16 +248,16 @@ UTM = np.array([453000.125, 5012345.625, 120.25])
 def test_voxels_stand_at_the_origin_of_splats_on_a_map(ball: Splats, listener: Listener) -> None:
     save("far.ply", replace(ball, origin=UTM))
     origin = load("far.ply", Splats).origin
-    near = bake_octree("ball.ply", "near.svo.npz", resolution=16, splats=DIRECT)
-    found = bake_octree("far.ply", "far.svo.npz", resolution=16, splats=DIRECT, steps=listener)
+    near = bake_octree("ball.ply", "near.svo.npz", resolution=16, options=DIRECT)
+    found = bake_octree("far.ply", "far.svo.npz", resolution=16, options=DIRECT, steps=listener)
     told = "positions are relative to the origin 453000 5012346 120, which voxels cannot keep"
     assert listener.said[0] == f"far.ply: {told}"
     assert_allclose(found.origin, near.origin + UTM - origin, atol=1e-5)
     # A box is in the world of the file; the -y of a volume's splats becomes z.
     box = (*(UTM - [0, 2, 2]).tolist(), *(UTM + 2).tolist())
-    half = bake_octree("far.ply", "half.svo.npz", resolution=16, box=box, splats=DIRECT)
+    half = bake_octree("far.ply", "half.svo.npz", resolution=16, options=replace(DIRECT, box=box))
     assert_allclose(half.origin, np.array([0, -2, -2]) + UTM - origin, atol=1e-5)
-    bake_volume("far.ply", "far.vdb", resolution=8, splats=SplatVoxels(epochs=0, up="stated"), steps=listener)
+    bake_volume("far.ply", "far.vdb", resolution=8, options=ReadingOptions(epochs=0, in_up="stated"), steps=listener)
     assert any("origin 453000 120 -5012346, which" in line for line in listener.said)
 
 
@@ -290,7 +290,7 @@ def test_values_that_are_not_finite_are_told_with_the_name_of_the_file(ball: Spl
 @pytest.mark.usefixtures("ball")
 def test_a_missed_budget_is_measured_against_the_splats() -> None:
     with pytest.raises(BudgetMissed, match=r"^b.svo.npz: the picture has a mean PSNR of"):
-        bake_octree("ball.ply", "b.svo.npz", resolution=8, splats=DIRECT, budget=Budget(min_psnr=40))
+        bake_octree("ball.ply", "b.svo.npz", resolution=8, options=DIRECT, budget=Budget(min_psnr=40))
     assert Path("b.svo.npz.rejected").exists()
     bake_octree("ball.ply", "c.svo.npz", resolution=32, budget=Budget(min_psnr=20))
 
@@ -307,7 +307,7 @@ def test_other_commands_read_splats(listener: Listener, monkeypatch: pytest.Monk
 
 @pytest.mark.usefixtures("ball")
 def test_an_octree_is_refitted_to_splats() -> None:
-    bake_octree("ball.ply", "direct.svo.npz", resolution=32, splats=DIRECT)
+    bake_octree("ball.ply", "direct.svo.npz", resolution=32, options=DIRECT)
     found = refit_file("direct.svo.npz", "fitted.svo.npz", RefitReference(like="ball.ply", frames=12, edge=64))
     before, after = found.psnr
     assert after > before + 1
@@ -317,21 +317,24 @@ def test_an_octree_is_refitted_to_splats() -> None:
 def test_options_without_effect_are_refused() -> None:
     save("a.npz", n3tree())
     with pytest.raises(UsageError, match="`box` of six numbers has no effect on a PlenOctree; allowed: with splats"):
-        bake_octree("a.npz", "b.svo.npz", box=(0, 0, 0, 1, 1, 1))
+        bake_octree("a.npz", "b.svo.npz", options=ReadingOptions(box=(0, 0, 0, 1, 1, 1)))
     with pytest.raises(UsageError, match="`opacity_min` has no effect on a PlenOctree; allowed: with splats"):
-        bake_octree("a.npz", "b.svo.npz", splats=SplatVoxels(opacity_min=0.5))
-    with pytest.raises(UsageError, match="`up` has no effect"):
-        bake_octree("a.npz", "b.svo.npz", splats=SplatVoxels(up="y"))
+        bake_octree("a.npz", "b.svo.npz", options=ReadingOptions(opacity_min=0.5))
+    with pytest.raises(UsageError, match="`in_up` has no effect"):
+        bake_octree("a.npz", "b.svo.npz", options=ReadingOptions(in_up="y"))
     with pytest.raises(UsageError, match="`epochs` has no effect"):
-        bake_volume("a.npz", "b.vdb", splats=DIRECT)
+        bake_volume("a.npz", "b.vdb", options=DIRECT)
     with pytest.raises(UsageError, match="`box` has no effect"):
-        bake_volume("a.npz", "b.vdb", box="all")
+        bake_volume("a.npz", "b.vdb", options=ReadingOptions(box="all"))
     with pytest.raises(UsageError, match="`scale` has no effect on splats; allowed: with a lattice"):
-        bake_octree("ball.ply", "b.svo.npz", scale=2.0)
+        bake_octree("ball.ply", "b.svo.npz", options=ReadingOptions(scale=2.0))
     with pytest.raises(UsageError, match="the voxels of splats are cubes; allowed: one number as `resolution`"):
         bake_octree("ball.ply", "b.svo.npz", resolution=(16, 16, 8))
     with pytest.raises(UsageError, match="splats are turned until -y is z, and `cameras` are not"):
         bake_octree(
-            "ball.ply", "b.svo.npz", splats=SplatVoxels(up="-y"), budget=Budget(min_psnr=20, cameras="cameras.json")
+            "ball.ply",
+            "b.svo.npz",
+            options=ReadingOptions(in_up="-y"),
+            budget=Budget(min_psnr=20, cameras="cameras.json"),
         )
     assert not Path("b.svo.npz").exists()

@@ -184,7 +184,11 @@ def test_as_many_voxels_as_fit_and_a_line_that_says_so(
         monkeypatch.setattr(lattice_to_octree, "_COARSEST", coarsest)
         monkeypatch.setattr(lattice_to_octree, "_voxel_bytes", lambda B: 1 << 24)  # 256 voxels are all that fits
         steps = Listener()
-        sizes.append(jobs.bake_octree(folder, tmp_path / f"{coarsest}.svo.npz", basis="SH1", steps=steps).size)
+        sizes.append(
+            jobs.bake_octree(
+                folder, tmp_path / f"{coarsest}.svo.npz", options=jobs.ReadingOptions(basis="SH1"), steps=steps
+            ).size
+        )
         said.append(steps.said)
     assert sizes == [(14, 14, 14), (7, 7, 7)]
     assert all("only MERF's inner cube" in note for note, *_ in said)
