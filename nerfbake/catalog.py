@@ -391,6 +391,11 @@ def dialects_in(files: contract.HeadedFiles) -> list[tuple[Dialect, str]]:
     return [(form, path) for form in DIALECTS for path in found.get(form, [])[: 1 if form.is_many else None]]
 
 
+def is_tool(dialect: str) -> bool:
+    """Return whether cameras of this dialect were read from a file of DIALECTS."""
+    return any(form.title == dialect for form in DIALECTS)
+
+
 def lacks(form: Dialect, files: Container[str]) -> str:
     """Return the files that cameras need and that a folder lacks, in words; '' if it has them."""
     return "" if not form.needs or any(name in files for name in form.needs) else " or ".join(form.needs)

@@ -18,11 +18,12 @@ from nerfbake.jobs.photographs import PhotographOptions, SplitViews, cut_out, me
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.splats import SplatsOptions, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
+from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.brick_field import BrickField
-from nerfbake.scene.camera import Cameras
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.origin import choose_origin, lost_origin, no_origin, told_origin
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.schedule import (
     Schedule,
@@ -81,10 +82,10 @@ def _held_out(views: Views, samples: int) -> HeldOut | None:
 # Types of scene that a fit writes, in the order in which their file extensions are tried: longer ones first.
 KINDS = ("SparseVoxelOctree", "QuantisedOctree", "Volume", "Splats", "N3Tree", "Meshes")
 _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # options of the format: svox deflates its files, too
+_IN_SINGLES = ("Meshes", "Splats", "N3Tree")  # types of scene whose formats store positions as float32
 _OF_INNER_CUBE = ("Meshes", "Splats")  # types of scene that store only the inner cube of a scene with scenery
 PRESET = "balanced"
 _FEW = 20  # views of scenery
-_FAR = 10_000  # times the extent of the cameras: rounding to float32 then moves a cell of 1/256 by a sixth of its width
 _POOR = 4.0  # dB above pictures of a single colour
 
 
@@ -216,7 +217,7 @@ def fit_scene(
     options.schedule()
     split, schedule = _read(steps, source, photographs, options, "N3Tree")
     run = FitRun(split, schedule, options.rays(schedule))
-    field = _fit(steps, source, split.training, schedule, options, run, None, threading.Event())
+    field = _fit(steps, source, split, schedule, options, run, None, threading.Event())
     with steps.phase("putting the field together"):
         return _tree(field, dtype, _held_out(split.held_out, options.rays(schedule)))
 
@@ -261,7 +262,6 @@ def fit_file(
         found = f"{source.name} has scenery behind the object, which {target.path} cannot store"
         raise UsageError(f"{found}; allowed: a PlenOctree, a mesh or splats of the inner cube, or masks of the object")
     steps.say(f"{source.name}: fits to {split.training}, measures on {held_out}")
-    _say_if_far(steps, source.name, split.training.cameras)
     if held_out.scenery and len(split.training.pictures) < _FEW:
         few = f"{len(split.training.pictures)} views are few for scenery"
         steps.say(f"{source.name}: {few}; parts that fewer than three of them show are placed far away")
@@ -274,13 +274,18 @@ def fit_file(
     run = FitRun(split, schedule, options.rays(schedule))
     with ExitStack() as output:
         with interrupts() as interrupted:
-            field = _fit(steps, source, split.training, schedule, options, run, checkpoints, interrupted)
+            field = _fit(steps, source, split, schedule, options, run, checkpoints, interrupted)
+            if kind not in _IN_SINGLES:
+                field, split = _in_world(field, split)
+                held_out = split.held_out
             if held_out.scenery and kind in _OF_INNER_CUBE:
                 steps.say(f"{source.name}: has scenery; {target.path} shows the inner cube")
                 field = field.shell(0)
                 split = cut_out(steps, source, split, build_field_from_bricks(field))
                 held_out = split.held_out
             scene = _converted(steps, source, target, kind, field, split, options.rays(schedule), dtype, interrupted)
+            if kind in _IN_SINGLES:
+                scene = _with_origin(steps, scene, target, kind, split.origin)
             del field, split
             if interrupted.is_set():
                 write_partial(steps, target, kind, scene, state, **_options(target, kind))
@@ -296,15 +301,22 @@ def fit_file(
     return fitted
 
 
-def _say_if_far(steps: Steps, name: str, cameras: Cameras) -> None:
-    """Print a warning if the cameras are so far from the origin that float32 loses detail, as in UTM coordinates."""
-    eyes = cameras.eyes
-    middle = eyes.mean(axis=0)
-    far, extent = float(abs(middle).max()), float(abs(eyes - middle).max())
-    if far > _FAR * extent > 0:
-        found = f"the cameras are {far:,.0f} units from the origin, but only {extent:.3g} from their mean position"
-        loss = "most formats and viewers use float32, which loses detail there"
-        steps.say(f"{name}: warning: {found}; {loss}; subtract their mean position from all poses")
+def _in_world(field: BrickField, split: SplitViews) -> tuple[BrickField, SplitViews]:
+    """Return a field and its views in the world of the capture, whose coordinates its formats store as float64."""
+    if not split.origin.any():
+        return field, split
+    return replace(field, box=field.box + split.origin), split.moved(no_origin())
+
+
+def _with_origin(steps: Steps, scene: Any, target: Target, kind: str, origin: Floats) -> Any:
+    """Return a scene whose format stores float32, with the origin of the fit, if the format keeps it."""
+    if not origin.any():
+        return scene
+    form = io.format_for(target.path, kind, to=target.to)
+    if kind == "N3Tree" or (kind == "Splats" and not form.load_splat_module().KEEPS_ORIGIN):
+        steps.say(f"{target.name}: {lost_origin(origin, form.suffix)}")
+        return scene
+    return replace(scene, origin=origin)
 
 
 def _read(
@@ -317,6 +329,9 @@ def _read(
     """
     require_poses(steps, source)
     split = read_photographs(steps, source, photographs)
+    if (origin := choose_origin([split.training.cameras.eyes])).any():
+        steps.say(f"{source.name}: the cameras are far from 0; the fit is relative to {told_origin(origin)}")
+        split = split.moved(origin)
     schedule = options.schedule(split.training)
     if not split.training.scenery or kind in _OF_INNER_CUBE:
         return split, schedule
@@ -357,7 +372,7 @@ def _options(target: Target, kind: str) -> dict[str, Any]:
 def _fit(
     steps: Steps,
     source: Source,
-    views: Views,
+    split: SplitViews,
     schedule: Schedule,
     options: FitOptions,
     run: FitRun,
@@ -367,9 +382,10 @@ def _fit(
     """Fit until the schedule ends, or until Ctrl-C sets `interrupted`, and return the field."""
     from nerfbake.stages.views_to_field import fit_field
 
+    views = split.training
     state = start = _start(checkpoints, run)
     with steps.phase("fitting"), io.blame(source.name):
-        box = None if options.box is None else world_box(options.box)
+        box = None if options.box is None else world_box(options.box) - split.origin
         chosen: dict[str, Any] = {"basis": options.basis_of(views), "box": box, "seed": options.seed}
         for state in fit_field(views, schedule=schedule, exposure=options.gains(views), start=start, **chosen):
             with progress.listening(None):  # measuring does not report progress

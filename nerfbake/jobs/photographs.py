@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, NamedTuple
 
-from nerfbake import io, progress
+from nerfbake import catalog, io, progress
 from nerfbake.errors import InvalidFile, InvalidScene, Problem, UsageError
 from nerfbake.jobs.budgets import FRAMES
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
 from nerfbake.jobs.views import picture_views, read_cameras
+from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
@@ -68,6 +69,16 @@ class SplitViews(NamedTuple):
     training: Views
     held_out: Views
 
+    @property
+    def origin(self) -> Floats:
+        """The point (3,) of the capture's world that all cameras are relative to: 0 unless they were moved."""
+        return self.training.cameras.origin
+
+    def moved(self, origin: Floats) -> SplitViews:
+        """The same views relative to another point of the capture's world."""
+        start = origin - self.origin
+        return SplitViews(*(replace(views, cameras=views.cameras.relative_to(start)) for views in self))
+
 
 def mean_of(views: Sequence[ViewError], name: Literal["psnr", "ssim", "corrected"]) -> float:
     """Return the mean of a figure over the views."""
@@ -86,7 +97,9 @@ def read_photographs(steps: Steps, source: Source, photographs: PhotographOption
         known = replace(photographs, background=views.background, scenery="keep" if views.scenery else "drop")
         split = SplitViews(views, _read(steps, test, known))
     else:
-        split = _held_out(_read(steps, training, photographs), photographs.holdout or HOLDOUT, training)
+        views = _read(steps, training, photographs)
+        given = photographs.holdout is None and 0 < len(views.cameras.held_out) < len(views.pictures)
+        split = _held_out(views, None if given else photographs.holdout or HOLDOUT, training)
     if len(split.training.pictures) < _LEAST:
         found = f"are {len(split.training.pictures)} to fit to and {len(split.held_out.pictures)} held out"
         raise InvalidFile(Problem("the views", found, f"{_LEAST} or more to fit to"), source=source.name)
@@ -162,18 +175,21 @@ def render_split(
         return SplitViews(training, picture_views(scene, held_out, samples))
 
 
-def _held_out(views: Views, every: int, name: str) -> SplitViews:
-    """Hold out every N-th view, starting with the first."""
+def _held_out(views: Views, every: int | None, name: str) -> SplitViews:
+    """Hold out every N-th view, starting with the first; every=None: those that the capture holds out."""
     numbers = range(len(views.pictures))
-    training = [i for i in numbers if i % every]
-    if len(training) < _LEAST:
+    chosen = views.cameras.held_out if every is None else numbers[::every]
+    training = [i for i in numbers if i not in set(chosen)]
+    if every is not None and len(training) < _LEAST:
         found = f"are {len(numbers)}, and one of every {every} is held out"
         raise InvalidFile(Problem("the views", found, f"{_LEAST} or more others"), source=name)
-    return SplitViews(views.take(training), views.take(numbers[::every]))
+    return SplitViews(views.take(training), views.take(chosen))
 
 
 def _read(steps: Steps, path: str, photographs: PhotographOptions) -> Views:
-    cameras, files = with_pictures(steps, path, read_cameras(steps, path))
+    read = read_cameras(steps, path)
+    _say_unread(steps, path, read.source)
+    cameras, files = with_pictures(steps, path, read)
     masks = None if photographs.masks is None else _masks(photographs.masks, cameras)
     with steps.phase(f"reading {len(files)} pictures"), io.blame(path):
         cameras.require_covered()
@@ -187,6 +203,12 @@ def _read(steps: Steps, path: str, photographs: PhotographOptions) -> Views:
         )
     _say_extreme_alpha(steps, path, views)
     return views
+
+
+def _say_unread(steps: Steps, path: str, read: str) -> None:
+    """Print which files of cameras in a folder are not read. read: the file that is read."""
+    for file, reason in io.unread_cameras(path, read):
+        steps.say(f"{path}: {file} is not read ({reason})")
 
 
 def _say_extreme_alpha(steps: Steps, path: str, views: Views) -> None:
@@ -246,7 +268,7 @@ def with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, l
         _all_of(names, files, path, "picture")
     if left_out := len(files) - len(kept):
         steps.say(f"{path}: {left_out} of {len(files)} cameras have no picture and are left out")
-        cameras = replace(cameras, cameras=tuple(cameras.cameras[i] for i in kept))
+        cameras = cameras.take(kept)
     return cameras, [file for file in files if file is not None]
 
 
@@ -268,11 +290,12 @@ def _find_pictures(path: str, cameras: Cameras, folder: Path) -> tuple[Cameras, 
     """Return the cameras with the names of their pictures, and the paths of those that exist.
 
     A COLMAP model is in a subfolder of the folder with the pictures. Its names are relative to `images`, or to that
-    folder, if COLMAP was told that the pictures are there.
+    folder, if COLMAP was told that the pictures are there. The file of another tool may be in a subfolder, too.
     """
-    if cameras.dialect != "COLMAP":
+    if cameras.dialect != "COLMAP" and not catalog.is_tool(cameras.dialect):
         return cameras, _files(path, cameras, folder)
-    for named in (cameras, _outside_of_images(cameras)):
+    other = _outside_of_images(cameras) if cameras.dialect == "COLMAP" else _inside_images(cameras)
+    for named in (cameras, other):
         for place in (folder, *folder.resolve().parents[:_ABOVE]):
             files = _files(path, named, place)
             if any(file is not None for file in files):
@@ -299,6 +322,12 @@ def _find(source: str, camera: Camera, folder: io.StoredNames, name: str) -> Pat
 
 def _outside_of_images(cameras: Cameras) -> Cameras:
     moved = (replace(camera, picture=camera.picture.removeprefix(_IMAGES)) for camera in cameras.cameras)
+    return replace(cameras, cameras=tuple(moved))
+
+
+def _inside_images(cameras: Cameras) -> Cameras:
+    named = (f"{_IMAGES}{camera.picture.rpartition('/')[2]}" if camera.picture else "" for camera in cameras.cameras)
+    moved = (replace(camera, picture=name) for camera, name in zip(cameras.cameras, named, strict=True))
     return replace(cameras, cameras=tuple(moved))
 
 

@@ -16,12 +16,14 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import Scene
 from nerfbake.scene.compact_repr import CompactRepr
 from nerfbake.scene.lens import Lens
+from nerfbake.scene.origin import no_origin
 from nerfbake.scene.pose import ORTHOGONAL, pose_problem, scale_of
 from nerfbake.scene.sparse_points import SparsePoints
 
@@ -257,6 +259,7 @@ class Cameras(Scene):
              photographs were averaged
     held_out  the numbers of the cameras that the capture holds out: the result is measured on them
     points   the points in space that the program found in the pictures; None: the file has none
+    origin   (3,) float64: the point of the world that all positions are relative to, see scene/origin.py; 0 as read
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras
@@ -272,6 +275,7 @@ class Cameras(Scene):
     samples: int = 1
     held_out: tuple[int, ...] = ()
     points: SparsePoints | None = None
+    origin: Floats = field(default_factory=no_origin)
 
     def __post_init__(self) -> None:
         require_samples(self.samples)
@@ -299,7 +303,7 @@ class Cameras(Scene):
         shift[:3, 3] = origin
         moved = (replace(camera, pose=camera.pose - shift[: len(camera.pose)]) for camera in self.cameras)
         points = None if self.points is None else replace(self.points, positions=self.points.positions - origin)
-        return replace(self, cameras=tuple(moved), points=points)
+        return replace(self, cameras=tuple(moved), points=points, origin=self.origin + origin)
 
     def take(self, numbers: Sequence[int]) -> Cameras:
         """These cameras alone, in this order. What is held out stays so; points keep what these cameras see."""

@@ -63,8 +63,9 @@ class Views(Scene):
 
     def take(self, numbers: Sequence[int]) -> Views:
         """These views alone, in this order; the pictures are shared."""
-        cameras = replace(self.cameras, cameras=tuple(self.cameras.cameras[i] for i in numbers))
-        return replace(self, cameras=cameras, pictures=PackedPictures.of(self.pictures).take(numbers))
+        return replace(
+            self, cameras=self.cameras.take(numbers), pictures=PackedPictures.of(self.pictures).take(numbers)
+        )
 
     def reduced(self, factor: int) -> Views:
         """These views with pictures that are smaller by a whole factor."""

@@ -373,24 +373,50 @@ def test_what_is_wrong_with_a_capture_is_blamed_on_it(
     assert not trainer.asked
 
 
-@pytest.mark.usefixtures("trainer")
-@pytest.mark.parametrize(("metres", "told"), [(5_000_000, True), (500_000, True), (5_000, False)])
-def test_cameras_far_from_the_origin_are_told(
-    metres: float, told: bool, capture: Path, tmp_path: Path, listener: Listener
-) -> None:
-    """Geodetic coordinates: float32 resolves half a metre at 5,000 km."""
-    moved = Path(shutil.copytree(capture, tmp_path / "moved"))
+def moved_capture(capture: Path, place: Path, metres: float) -> Path:
+    """A copy of a capture in coordinates of a map: float32 resolves half a metre at 5,000 km."""
+    moved = Path(shutil.copytree(capture, place))
     for path in moved.glob("transforms_*.json"):
         fields = json.loads(path.read_text())
         for frame in fields["frames"]:
             frame["transform_matrix"][1][3] += metres
         path.write_text(json.dumps(fields))
+    return moved
+
+
+@pytest.mark.usefixtures("trainer")
+@pytest.mark.parametrize(("metres", "told"), [(5_000_000, True), (500_000, True), (50, False)])
+def test_cameras_far_from_the_origin_are_fitted_near_it(
+    metres: float, told: bool, capture: Path, tmp_path: Path, listener: Listener
+) -> None:
+    moved = moved_capture(capture, tmp_path / "moved", metres)
     fit_file(moved, "a.npz", steps=listener)
-    said = [line for line in listener.said if "units from the origin" in line]
+    said = [line for line in listener.said if "far from 0" in line]
     assert bool(said) == told
     if told:
-        assert said[0].startswith(f"{moved}: warning: the cameras are {metres:,} units from the origin, but only ")
-        assert said[0].endswith("subtract their mean position from all poses")
+        assert said[0].startswith(
+            f"{moved}: the cameras are far from 0; the fit is relative to 0 {metres:,}".replace(",", "")
+        )
+
+
+@pytest.mark.slow
+def test_a_fit_on_a_map_is_the_fit_at_home(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, listener: Listener
+) -> None:
+    """An octree 5,000 km away has the coordinates of the map. A PlenOctree in float32 is relative to its origin."""
+    monkeypatch.chdir(tmp_path)
+    quick = FitOptions(epochs="cells=8,prune=0.03/cells=16,rays=1,prune=0.02", basis="SH1")
+    moved = moved_capture(capture, tmp_path / "moved", 5_000_000.0)
+    home, away, tree = (
+        fit_file(path, name, recipe=quick, steps=listener)
+        for path, name in ((capture, "home.svo.npz"), (moved, "away.svo.npz"), (moved, "away.npz"))
+    )
+    assert away.psnr == pytest.approx(home.psnr, abs=1e-3)
+    assert tree.psnr == pytest.approx(home.psnr, abs=0.05)  # its values are float16
+    octrees = [load(name, SparseVoxelOctree) for name in ("home.svo.npz", "away.svo.npz")]
+    assert octrees[1].origin - octrees[0].origin == pytest.approx([0, 5_000_000, 0], abs=1e-6)
+    lost = "away.npz: positions are relative to the origin 0 5000000 0, which .npz cannot keep"
+    assert lost in listener.said
 
 
 @pytest.mark.usefixtures("trainer")

@@ -4,6 +4,7 @@ frames            [{file_path, transform_matrix: 4 x 4, camera to world, OpenGL 
                   transform_matrix_start and _end; the start is used
 x_fov, y_fov      degrees, else fl_x, fl_y: pixels, else camera_angle_x, camera_angle_y: radians; y defaults to x
 cx, cy, w, h      pixels; default: the principal point in the centre, the size of the pictures
+test_frames       frames like those of `frames`, on which the result is measured: ScanNet++
 samples           nerfbake's extension: rays along each edge of a pixel, default 1
 camera_model, is_fisheye, k1..k6, p1, p2, distortion_params ([k1, k2, k3, k4, p1, p2])
 Except for frames and samples, each key may also be in a frame, which then takes precedence. A key whose value is null
@@ -117,10 +118,17 @@ def _model(fields: Mapping[str, Any], where: str) -> LensModel | None:
 Frame = dict[str, Any]
 
 
-def parse(view: memoryview) -> tuple[Frame, list[Frame]]:
-    """Return all fields, and the frames, without those that are null. Comments are skipped, as in instant-ngp."""
+def parse(view: memoryview) -> tuple[Frame, list[Frame], int]:
+    """Return all fields, and the frames, without those that are null. Comments are skipped, as in instant-ngp.
+
+    Also returns how many of the last frames are held out: those of test_frames, a second list that ScanNet++ has.
+    """
     fields = parse_object(view, "the JSON", comments=True)
-    frames = fields.get("frames")
+    frames, held_out = fields.get("frames"), fields.pop("test_frames", None)
+    if held_out is not None and not isinstance(held_out, list):
+        raise InvalidFile(Problem("test_frames", f"are {kind_of(held_out)}", "a list of frames"))
+    if isinstance(frames, list) and held_out:
+        frames = [*frames, *held_out]
     if not isinstance(frames, list) or not 1 <= len(frames) <= MAX_FRAMES:
         wrong = "are missing" if frames is None else "are not a list"
         found = f"are {len(frames):,}" if isinstance(frames, list) else wrong
@@ -131,7 +139,7 @@ def parse(view: memoryview) -> tuple[Frame, list[Frame]]:
     for each in (fields, *frames):
         for key in [key for key, value in each.items() if value is None]:
             del each[key]
-    return fields, frames
+    return fields, frames, len(held_out or [])
 
 
 def poses_of(frames: list[Frame]) -> npt.NDArray[np.float64]:
@@ -194,7 +202,7 @@ def recognise(view: memoryview) -> bool:
 
 def decode(view: memoryview, *, beside: CaptureFolder | None = None) -> Cameras:
     """Return the cameras in the order of the frames. beside: the folder that contains the file and its pictures."""
-    fields, frames = parse(view)
+    fields, frames, held_out = parse(view)
     room_for(len(frames))
     sizes = PictureSizes(beside)
     paths = [path if isinstance(path := frame.get("file_path"), str) else None for frame in frames]
@@ -217,7 +225,8 @@ def decode(view: memoryview, *, beside: CaptureFolder | None = None) -> Cameras:
         cameras.append(Camera(pose=poses[i], name=name, picture=inside_of(path), **intrinsics))
     notes = (*size_note(guessed, first, sizes.unreadable), *_mask_note(frames))
     samples = whole(fields, "samples", default=1, low=1, high=MAX_SAMPLES)
-    return Cameras(tuple(cameras), _dialect(fields, frames), notes=notes, samples=samples)
+    last = tuple(range(len(frames) - held_out, len(frames)))
+    return Cameras(tuple(cameras), _dialect(fields, frames), notes=notes, samples=samples, held_out=last)
 
 
 def _mask_note(frames: list[Frame]) -> tuple[str, ...]:
