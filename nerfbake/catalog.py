@@ -104,6 +104,9 @@ class Dialect(NamedTuple):
     def load_module(self) -> contract.CameraDialect:
         return cast(contract.CameraDialect, import_module(f"nerfbake.formats.{self.module}"))
 
+    def load_writer(self) -> contract.WrittenDialect:
+        return cast(contract.WrittenDialect, self.load_module())
+
 
 AnyFormat = Format | FolderKind | Dialect
 
@@ -158,7 +161,7 @@ FOLDERS = (
     FolderKind("atlas", "BakedAtlas", "atlas.folder", "octahedral atlas", key="atlas.json"),
     FolderKind("thesis", "BakedAtlas", "atlas.thesis", "the thesis' atlas", key="octahedron_maps.png", writable=False),
     FolderKind("transforms", "Cameras", "camera.transforms_folder", "capture's cameras", key="transforms.json"),
-    FolderKind("colmap", "Cameras", "camera.colmap", "COLMAP model", "sparse/0/images.bin", _COLMAP, writable=False),
+    FolderKind("colmap", "Cameras", "camera.colmap", "COLMAP model", "sparse/0/images.bin", _COLMAP),
     FolderKind("llff", "Cameras", "camera.llff", "LLFF's poses", "poses_bounds.npy", _LLFF, writable=False),
     FolderKind("nsvf", "Cameras", "camera.nsvf", "NSVF's capture", "intrinsics.txt", _NSVF, writable=False),
     FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", key="finedensity.vdb"),
@@ -389,6 +392,18 @@ def dialects_in(files: contract.HeadedFiles) -> list[tuple[Dialect, str]]:
             if form in forms:
                 found.setdefault(form, []).append(path)
     return [(form, path) for form in DIALECTS for path in found.get(form, [])[: 1 if form.is_many else None]]
+
+
+def cameras_to_write(ending: str, to: str | None) -> AnyFormat | None:
+    """Return what cameras are written as, by the extension of OUT or by `to`; None for what stores other scenes."""
+    known: dict[str, AnyFormat] = {form.written_as: form for form in DIALECTS if form.written_as}
+    known |= {kind.name: kind for kind in folders_of("Cameras") if kind.writable}
+    if to is not None and to in known:
+        return known[to]
+    plain = uncompressed(ending).lower()
+    files = [form for form in formats_of("Cameras") if plain.endswith(form.suffix)]
+    longer = [form for form in FORMATS if form.scene != "Cameras" and plain.endswith(form.suffix)]
+    return files[0] if files and not longer else None
 
 
 def is_tool(dialect: str) -> bool:

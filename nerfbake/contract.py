@@ -123,6 +123,13 @@ class CameraDialect(Protocol):
         """Return the cameras of the file `name` of a folder. Raises InvalidFile, InvalidScene, MemoryLimit."""
 
 
+class WrittenDialect(CameraDialect, Protocol):
+    """Cameras of another tool that are also written."""
+
+    def encode(self, cameras: Any, /) -> Iterable[Piece]:
+        """Return the file in pieces."""
+
+
 class VolumeFormat(FileFormat, Protocol):
     """A format for volumes, which checks the grids before any work is done."""
 

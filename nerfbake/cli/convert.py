@@ -1,4 +1,4 @@
-"""`nerfbake convert`: write an octree, a volume or splats in another format or layout."""
+"""`nerfbake convert`: write an octree, a volume, splats or cameras in another format or layout."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from nerfbake.catalog import cameras_to_write
 from nerfbake.cli.params import (
     ALL,
     codec_option,
@@ -22,7 +23,7 @@ from nerfbake.jobs.files import Source, Target
 
 @click.command()
 @source_argument
-@octree_target_argument("Volume", "Splats")
+@octree_target_argument("Volume", "Splats", "Cameras")
 @click.option(
     "--layout",
     type=click.Choice(["full", "compact"]),
@@ -44,6 +45,9 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
     `density,sh`. From any other fog volume the octree gets the density only. With --grid all, each grid of a volume
     becomes a file: smoke.density.nvdb, ...
 
+    Cameras of any tool that `info` describes become nerfstudio's transforms.json, with --to colmap a folder with the
+    text of a COLMAP model, and with --to 3dgs cameras.json of 3D Gaussian Splatting.
+
     \b
       nerfbake convert chair.svo.pb chair.svo.npz
       nerfbake convert chair.svo.pb - --to svo.npz --layout compact > chair.svo.npz
@@ -54,8 +58,16 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
       nerfbake convert scene.ply scene.spz
       nerfbake convert scene.ply scene.glb --up z
       nerfbake convert upside_down.spz scene.spz --in-axes RDF --spz-version 3
+      nerfbake convert cameras.xml transforms.json
+      nerfbake convert cameras.xml sparse/0 --to colmap
     """
 
+    if cameras_to_write(target.ending, target.to) is not None:
+        _refuse_options()
+        from nerfbake.jobs.cameras import convert_cameras
+
+        convert_cameras(source, target, steps=console)
+        return
     from nerfbake.jobs.conversions import convert_file, split_volume
 
     if options["choice"].grids != (ALL,):
@@ -64,3 +76,9 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
     for name in ("layout", "no_child"):
         without_effect(name, here="with --grid all, which writes volumes", allowed="no --grid all")
     split_volume(source, target, up=options["choice"].up, codec=options["codec"], half=options["half"], steps=console)
+
+
+def _refuse_options() -> None:
+    """Raise UsageError for the options of other scenes."""
+    names = ("layout", "no_child", "grids", "up", "codec", "half", "small", "profile", "voxel_type")
+    without_effect(*names, here="on cameras", allowed="--to and --force")

@@ -6,6 +6,7 @@ from .batches import Item as Item
 from .batches import run_batch as run_batch
 from .budgets import Budget as Budget
 from .budgets import judge_output as judge_output
+from .cameras import convert_cameras as convert_cameras
 from .comparisons import ComparedViews as ComparedViews
 from .comparisons import ComparisonLimits as ComparisonLimits
 from .comparisons import ComparisonOutputs as ComparisonOutputs

@@ -20,6 +20,7 @@ from nerfbake.kernels.maths.elementary import cast
 from nerfbake.scene.base import MAX_WORLD
 
 FAR = 64  # extents; float32 then resolves a 2^18th of the extent
+MAP = 10_000  # units: coordinates of maps are farther from 0
 _STRAYS = 0.01  # of the points at each end of an axis, which do not count
 _LEAST = 2.0**-20  # of the distance from 0: extent of a scene that is one point
 
@@ -53,6 +54,15 @@ def choose_origin(parts: Sequence[npt.NDArray[Any]]) -> Floats:
         return no_origin()
     exponent = int(f"{max(extent, distance * _LEAST):e}".partition("e")[2])
     return np.array([round(float(value), -exponent) for value in middle]) + 0.0  # no negative zeros
+
+
+def choose_origin_of_cameras(eyes: Floats) -> Floats:
+    """Return the origin (3,) of a capture by the positions (n, 3) of its cameras: 0 if it is nearer to 0 than MAP.
+
+    Cameras that only turn have no extent, so the rule above alone would move every capture of that kind.
+    """
+    origin = choose_origin([eyes])
+    return origin if float(np.abs(origin).max()) >= MAP else no_origin()
 
 
 def _fits(points: npt.NDArray[Any]) -> bool:

@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder, inside_of, names_of, room_for
+from nerfbake.formats.camera.colmap_writer import text_model
 from nerfbake.formats.camera.turns import pose_shifted, turn_of_quaternion
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import MAX_WORLD
@@ -277,8 +278,16 @@ LAYOUTS = {
 }
 
 
+FILES = re.compile(r"(cameras|images|points3D)\.txt")
+
+
 def recognise(files: CaptureFolder) -> bool:
     return bool(_found(files))
+
+
+def encode(cameras: Cameras) -> Iterator[tuple[str, Iterator[bytes]]]:
+    """Yield the files of a text model. Pictures are not written."""
+    yield from text_model(cameras)
 
 
 def decode(files: CaptureFolder, *, member: str = "") -> Cameras:

@@ -238,7 +238,7 @@ def _mask_note(frames: list[Frame]) -> tuple[str, ...]:
 
 
 def encode(cameras: Cameras) -> Iterator[bytes]:
-    """Encode cameras for nerfbake, instant-ngp and nerfstudio.
+    """Encode cameras for nerfbake, instant-ngp and nerfstudio. Those that are held out are in test_frames.
 
     Intrinsics are written once if all cameras share them, otherwise for each frame.
     """
@@ -249,7 +249,12 @@ def encode(cameras: Cameras) -> Iterator[bytes]:
         for camera, each in zip(cameras.cameras, fields, strict=True)
     ]
     samples = {} if cameras.samples == 1 else {"samples": cameras.samples}
-    yield json.dumps({**samples, **(fields[0] if alike else {}), "frames": frames}, indent=1).encode() + b"\n"
+    split = {"frames": frames}
+    if 0 < len(cameras.held_out) < len(frames):
+        held_out = set(cameras.held_out)
+        split["frames"] = [frame for i, frame in enumerate(frames) if i not in held_out]
+        split["test_frames"] = [frames[i] for i in cameras.held_out]
+    yield json.dumps({**samples, **(fields[0] if alike else {}), **split}, indent=1).encode() + b"\n"
 
 
 def _fields(camera: Camera) -> dict[str, Any]:
