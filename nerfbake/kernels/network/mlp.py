@@ -32,21 +32,24 @@ class Packed(NamedTuple):
 def pack_layers(
     weights: tuple[Singles, ...], biases: tuple[Singles, ...], skips: tuple[int, ...], rectified: bool
 ) -> Packed:
-    """Pack weights (out, in) and biases (out,). skips: layers that also take the perceptron's inputs.
+    """Pack weights (..., out, in) and biases (..., out): numbers (..., size). Axes in front are perceptrons.
 
-    rectified: ReLU also follows the last layer. An odd number of outputs is filled up with a zero output, for which
-    the next layer has a zero weight.
+    skips: layers that also take the perceptron's inputs. rectified: ReLU also follows the last layer. An odd number of
+    outputs is filled up with a zero output, for which the next layer has a zero weight.
     """
     numbers, table, at = [], [], 0
     for k, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-        extra = len(weight) % 2
-        if k and len(weights[k - 1]) % 2:  # the zero output of the layer before
-            weight = np.insert(weight, len(weights[k - 1]), 0, axis=1)
-        weight, bias = np.pad(weight, ((0, extra), (0, 0))), np.pad(bias, (0, extra))
-        numbers += [weight.reshape(-1), bias]
-        table.append([*weight.shape, at, at + weight.size, k in skips, rectified or k + 1 < len(weights)])
-        at += weight.size + len(bias)
-    return Packed(as_input(np.concatenate(numbers).astype(np.float32)), as_input(np.array(table, np.int64)))
+        if k and (before := weights[k - 1].shape[-2]) % 2:  # the zero output of the layer before
+            weight = np.insert(weight, before, 0, axis=-1)
+        front, extra = [(0, 0)] * (bias.ndim - 1), bias.shape[-1] % 2
+        weight, bias = np.pad(weight, [*front, (0, extra), (0, 0)]), np.pad(bias, [*front, (0, extra)])
+        flat = weight.reshape(*bias.shape[:-1], -1)
+        numbers += [flat, bias]
+        size = at + flat.shape[-1]
+        table.append([*weight.shape[-2:], at, size, k in skips, rectified or k + 1 < len(weights)])
+        at = size + bias.shape[-1]
+    joined = np.concatenate(numbers, axis=-1).astype(np.float32)
+    return Packed(as_input(joined), as_input(np.array(table, np.int64)))
 
 
 def run_mlp(packed: Packed, inputs: Singles, outputs: int) -> Singles:
