@@ -138,6 +138,7 @@ FORMATS = (
     Format("tar", "FunctionField", ".tar", "field.nerf_pytorch", "nerf-pytorch", beside=True, writable=False),
     Format("pt", "N3Tree", ".pt", "field.svraster", "SVRaster", writable=False),
     Format("ckpt", "FunctionField", ".ckpt", "field.nerfstudio", "nerfstudio", writable=False),
+    Format("msgpack", "FunctionField", ".msgpack", "field.jaxnerf", "JaxNeRF, NeRF-SH", beside=True, writable=False),
     Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),
     Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh", beside=True, spread=(".mtl", ".png", ".jpg")),
     Format("glb", "Splats", ".glb", "splat.glb", "Gaussian splats in glTF 2.0"),

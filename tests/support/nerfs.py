@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import msgpack
 import numpy as np
 
 from nerfbake.formats.wire.torch_writer import ordered, torch_file
@@ -129,6 +130,73 @@ def vanilla_nerf_answers(layers: Layers, points: Any, directions: Any) -> tuple[
     for k in range(2):
         h = relu(after(layers, f"mlp_head.layers.{k}", h))
     return density, sigmoid(after(layers, "field_heads.0.net", h))
+
+
+# -- JaxNeRF, NeRF-SH, NeRF-SG -----------------------------------------------------------------------------------
+LOBES = 4
+
+
+def jaxnerf(seed: int = 0, colour: str = "directions") -> dict[str, Any]:
+    """Parameters. colour: directions, RGB, SH4 or SG: what the last layers compute."""
+    sizes = [(WIDTH if k else CODE) + CODE * (k == SKIP) for k in range(DEPTH)]
+    shapes = [*((size, WIDTH) for size in sizes), (WIDTH, 1)]
+    if colour == "directions":
+        shapes += [(WIDTH, WIDTH), (WIDTH + VIEW_CODE, VIEW), (VIEW, 3)]
+    else:
+        shapes += [(WIDTH, {"RGB": 3, "SH4": 12, "SG": 3 * LOBES}[colour])]
+    random, parameters = np.random.default_rng(seed), {}
+    for name in ("MLP_0", "MLP_1"):
+        layers = {}
+        for k, (inputs, outputs) in enumerate(shapes):
+            layer = linear(random, "x", outputs, inputs)
+            layers[f"Dense_{k}"] = {"bias": layer["x.bias"], "kernel": np.ascontiguousarray(layer["x.weight"].T)}
+        parameters[name] = dict(sorted(layers.items()))  # in the order of the keys, as in real files
+    if colour == "SG":
+        lobes = random.normal(0, 1, (LOBES, 3)).astype(np.float32)
+        parameters |= {"sg_lambda": lobes[:, 0], "sg_mu_spher": lobes[:, 1:]}
+    return parameters
+
+
+def jaxnerf_file(parameters: dict[str, Any]) -> bytes:
+    state = {"param_states": {"x": np.zeros(3, np.float32)}, "step": 7}
+    return bytes(msgpack.packb({"optimizer": {"target": {"params": parameters}, "state": state}}, default=_flax))
+
+
+def _flax(value: Any) -> Any:
+    return msgpack.ExtType(1, msgpack.packb([value.shape, value.dtype.name, value.tobytes()]))
+
+
+def sines_first(x: Any, count: int) -> Any:
+    """JaxNeRF's code: all sines, frequency by frequency, then sines of the angles plus pi/2 in float32."""
+    angles = np.concatenate([x.astype(np.float32) * np.float32(1 << k) for k in range(count)], axis=1)
+    shifted = angles + np.float32(np.pi / 2)
+    return np.concatenate([x, np.sin(angles.astype(float)), np.sin(shifted.astype(float))], axis=1)
+
+
+def jaxnerf_answers(parameters: Any, points: Any, directions: Any, code: Any = sines_first) -> tuple[Any, Any]:
+    """(m,) density and (m, 3) colour of the fine network."""
+    layers = [parameters["MLP_1"][f"Dense_{k}"] for k in range(len(parameters["MLP_1"]))]
+
+    def dense(k: int, x: Any) -> Any:
+        return x @ layers[k]["kernel"].astype(float) + layers[k]["bias"]
+
+    given = h = code(points, FREQUENCIES)
+    for k in range(DEPTH):
+        h = relu(dense(k, np.concatenate([h, given], axis=1) if k == SKIP else h))
+    density, raw = relu(dense(DEPTH, h)[:, 0]), dense(DEPTH + 1, h)
+    if len(layers) > DEPTH + 2:
+        raw = relu(dense(DEPTH + 2, np.concatenate([raw, code(directions, VIEWS)], axis=1)))
+        return density, sigmoid(dense(DEPTH + 3, raw))
+    if "sg_lambda" in parameters:
+        theta, phi = parameters["sg_mu_spher"].astype(float).T
+        axes = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+        lobes = np.exp(np.logaddexp(0, parameters["sg_lambda"].astype(float)) * (directions @ axes.T - 1))
+        return density, sigmoid((raw.reshape(-1, 3, LOBES) * lobes[:, None]).mean(axis=2))
+    if raw.shape[1] == 12:
+        x, y, z = directions.T
+        basis = np.stack([np.full_like(x, 0.28209479), -0.48860251 * y, 0.48860251 * z, -0.48860251 * x], axis=1)
+        return density, sigmoid((raw.reshape(-1, 3, 4) * basis[:, None]).sum(axis=2))
+    return density, sigmoid(raw)
 
 
 # -- damage that every reader has to refuse --------------------------------------------------------------------
