@@ -137,6 +137,7 @@ FORMATS = (
     Format("tar", "LatticeField", ".tar", "field.dvgo", "DirectVoxGO", writable=False),
     Format("tar", "FunctionField", ".tar", "field.nerf_pytorch", "nerf-pytorch", beside=True, writable=False),
     Format("pt", "N3Tree", ".pt", "field.svraster", "SVRaster", writable=False),
+    Format("pth", "FunctionField", ".pth", "field.kilonerf", "KiloNeRF", beside=True, writable=False),
     Format("ckpt", "FunctionField", ".ckpt", "field.nerfstudio", "nerfstudio", writable=False),
     Format("msgpack", "FunctionField", ".msgpack", "field.jaxnerf", "JaxNeRF, NeRF-SH", beside=True, writable=False),
     Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),
@@ -224,7 +225,7 @@ COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 
 # What other programs put around a file of any format: gzip, or a zip archive.
 WRAPPING = "nerfbake.formats.wire.wrapping"
-ARCHIVES = (".npz", ".sog", ".tar", ".pt", ".th")  # extensions of formats that are zip archives themselves
+ARCHIVES = (".npz", ".sog", ".tar", ".pt", ".pth", ".th")  # extensions of formats that are zip archives themselves
 
 # Files that do not contain a scene by themselves; each is read by one command only.
 PHOTOGRAPHS = "nerfbake.formats.wire.picture"

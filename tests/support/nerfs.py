@@ -199,6 +199,55 @@ def jaxnerf_answers(parameters: Any, points: Any, directions: Any, code: Any = s
     return density, sigmoid(raw)
 
 
+# -- KiloNeRF ----------------------------------------------------------------------------------------------------
+CELLS = (2, 1, 3)
+DOMAIN = np.array([[-1.0, -0.5, 0.0], [1.0, 0.5, 1.5]])
+KILONERF_YAML = "fixed_resolution: [2, 1, 3]\nglobal_domain_min: [-1, -0.5, 0]\nglobal_domain_max:\n- 1\n- 0.5\n- 1.5\n"
+
+
+def kilonerf(seed: int = 0, *, bmm: bool = False) -> Layers:
+    """bmm: weights (n, out, in), as its other implementation stores them."""
+    random, layers = np.random.default_rng(seed), {}
+    shapes = {"pts_linears.0": (CODE, WIDTH), "pts_linears.1": (WIDTH, WIDTH), "feature_linear": (WIDTH, WIDTH)}
+    shapes |= {"alpha_linear": (WIDTH, 1), "direction_layer": (WIDTH + VIEW_CODE, VIEW), "rgb_linear": (VIEW, 3)}
+    n = int(np.prod(CELLS))
+    for name, (inputs, outputs) in shapes.items():
+        each = [linear(random, name, outputs, inputs) for _ in range(n)]
+        weight = np.stack([layer[f"{name}.weight"] for layer in each])
+        layers[f"{name}.weight"] = weight if bmm else np.ascontiguousarray(weight.swapaxes(1, 2))
+        layers[f"{name}.bias"] = np.stack([layer[f"{name}.bias"] for layer in each])
+    return layers
+
+
+def kilonerf_file(layers: Layers) -> bytes:
+    return torch_file({"global_step": 7, "model_state_dict": ordered(layers)}, location="cuda:0")
+
+
+def by_coordinate(x: Any, count: int) -> Any:
+    """KiloNeRF's code: for each coordinate itself, its cosines, its sines."""
+    angles = x[:, :, None] * 2.0 ** np.arange(count)
+    return np.concatenate([x[:, :, None], np.cos(angles), np.sin(angles)], axis=2).reshape(len(x), -1)
+
+
+def kilonerf_answers(layers: Layers, points: Any, directions: Any) -> tuple[Any, Any]:
+    """(m,) density and (m, 3) colour at world points, one at a time; weights are (n, in, out)."""
+    density, colour = np.zeros(len(points)), np.full((len(points), 3), 0.5)
+    edge = (DOMAIN[1] - DOMAIN[0]) / CELLS
+    for i, (point, direction) in enumerate(zip(points, directions, strict=True)):
+        if not ((point > DOMAIN[0] + 0.001) & (point < DOMAIN[1] - 0.001)).all():
+            continue
+        x, y, z = cell = np.floor((point - DOMAIN[0]) / edge).astype(int)
+        n = (x * CELLS[1] + y) * CELLS[2] + z
+        own = {key: value[n].T for key, value in layers.items()}
+        h = by_coordinate((2 * (point - DOMAIN[0] - cell * edge) / edge - 1)[None], FREQUENCIES)
+        for name in ("pts_linears.0", "pts_linears.1"):
+            h = relu(after(own, name, h))
+        density[i] = relu(after(own, "alpha_linear", h)[0, 0])
+        view = np.concatenate([after(own, "feature_linear", h), by_coordinate(direction[None], VIEWS)], axis=1)
+        colour[i] = sigmoid(after(own, "rgb_linear", relu(after(own, "direction_layer", view))))[0]
+    return density, colour
+
+
 # -- damage that every reader has to refuse --------------------------------------------------------------------
 def misfits(layers: Layers) -> Iterator[tuple[str, Layers]]:
     """Each array with one number less along its last axis, as whole numbers, and missing, with its name."""
