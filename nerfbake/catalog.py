@@ -138,7 +138,7 @@ FORMATS = (
     Format("tar", "FunctionField", ".tar", "field.nerf_pytorch", "nerf-pytorch", beside=True, writable=False),
     Format("pt", "N3Tree", ".pt", "field.svraster", "SVRaster", writable=False),
     Format("pth", "FunctionField", ".pth", "field.kilonerf", "KiloNeRF", beside=True, writable=False),
-    Format("ckpt", "FunctionField", ".ckpt", "field.nerfstudio", "nerfstudio", writable=False),
+    Format("ckpt", "FunctionField", ".ckpt", "field.nerfstudio", "nerfstudio", beside=True, writable=False),
     Format("msgpack", "FunctionField", ".msgpack", "field.jaxnerf", "JaxNeRF, NeRF-SH", beside=True, writable=False),
     Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),
     Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh", beside=True, spread=(".mtl", ".png", ".jpg")),
@@ -169,6 +169,7 @@ FOLDERS = (
     FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", key="finedensity.vdb"),
     FolderKind("merf", "LatticeField", "field.merf", "MERF's folder", _BLOCKS, _BAKED, writable=False),
     FolderKind("sog_folder", "Splats", "splat.sog_folder", "folder of a .sog", "meta.json", _SOG, writable=False),
+    FolderKind("nerfstudio", "FunctionField", "field.nerfstudio_run", "nerfstudio's run", "config.yml", writable=False),
     FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", _BAKED, writable=False),
 )
 
@@ -225,7 +226,7 @@ COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 
 # What other programs put around a file of any format: gzip, or a zip archive.
 WRAPPING = "nerfbake.formats.wire.wrapping"
-ARCHIVES = (".npz", ".sog", ".tar", ".pt", ".pth", ".th")  # extensions of formats that are zip archives themselves
+ARCHIVES = (".npz", ".sog", ".tar", ".pt", ".pth", ".ckpt", ".th")  # formats that are zip archives themselves
 
 # Files that do not contain a scene by themselves; each is read by one command only.
 PHOTOGRAPHS = "nerfbake.formats.wire.picture"

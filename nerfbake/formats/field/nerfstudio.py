@@ -1,19 +1,23 @@
 """Read checkpoints of nerfstudio: `nerfstudio_models/step-000029999.ckpt` of a run, which torch writes.
 
 The model's state is in `pipeline`, with keys such as `_model.field.aabb`. The optimisers' state, two more copies of all
-numbers, is never read. Source: docs/fields.md, "nerfstudio".
+numbers, is never read. A checkpoint in its run's folder takes the run's files along. Source: docs/fields.md,
+"nerfstudio".
 """
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.field.nerfacto import field_of_nerfacto
+from nerfbake.formats.field.nerfacto import field_of_instant_ngp, field_of_nerfacto, is_instant_ngp, is_nerfacto
+from nerfbake.formats.field.run_files import Run, RunFolder, read_run
 from nerfbake.formats.field.torch_model import TorchModel
 from nerfbake.formats.field.vanilla_nerf import VANILLA, field_of_vanilla_nerf, refuse_relatives
 from nerfbake.formats.wire.torch import mentions
 from nerfbake.scene.function_field import FunctionField
+
+_KNOWN = "nerfacto, instant-ngp, vanilla-nerf"
 
 
 def recognise(view: memoryview) -> bool:
@@ -21,15 +25,30 @@ def recognise(view: memoryview) -> bool:
     return mentions(view, b"pipeline", b"_model.")
 
 
-def decode(view: memoryview) -> FunctionField:
-    """Return the field of a checkpoint."""
+def decode(view: memoryview, *, beside: RunFolder | None = None) -> FunctionField:
+    """Return the field of a checkpoint. beside: the files of its folder."""
+    return field_of(view, read_run(beside))
+
+
+def field_of(view: memoryview, run: Run) -> FunctionField:
+    """Return the field of a checkpoint of this run. Raises InvalidFile, MemoryLimit."""
     model = NerfstudioModel(view)
-    if "field.mlp_base.model.0.hash_table" in model.state:
-        return field_of_nerfacto(model, np.eye(3, 4))
+    if is_instant_ngp(model):
+        return field_of_instant_ngp(model, run)
+    if is_nerfacto(model):
+        return field_of_nerfacto(model, run)
     if VANILLA in model.state:
-        return field_of_vanilla_nerf(model, np.eye(3, 4))
+        return _vanilla_nerf(model, run)
     refuse_relatives(model)
-    raise InvalidFile(Problem("pipeline", "holds no model that is known", "nerfacto, vanilla-nerf"))
+    there = ", ".join(dict.fromkeys(str(key).rpartition(".")[0] for key in model.state))
+    raise InvalidFile(Problem("pipeline", f"holds a model that is not known ({there:.100})", _KNOWN))
+
+
+def _vanilla_nerf(model: TorchModel, run: Run) -> FunctionField:
+    near, far = run.collider(2.0, 6.0)
+    found = field_of_vanilla_nerf(model, run.frame, near=near, far=far)
+    notes = (*run.notes, *found.notes)
+    return replace(found, background=run.background("white"), cameras=run.cameras, notes=notes)
 
 
 class NerfstudioModel(TorchModel):
