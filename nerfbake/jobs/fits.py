@@ -23,7 +23,7 @@ from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
-from nerfbake.scene.origin import choose_origin_of_cameras, lost_origin, no_origin, told_origin
+from nerfbake.scene.origin import choose_origin_of_cameras, lost_origin, no_origin, origin_text
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.schedule import (
     Schedule,
@@ -330,7 +330,7 @@ def _read(
     require_poses(steps, source)
     split = read_photographs(steps, source, photographs)
     if (origin := choose_origin_of_cameras(split.training.cameras.eyes)).any():
-        steps.say(f"{source.name}: the cameras are far from 0; the fit is relative to {told_origin(origin)}")
+        steps.say(f"{source.name}: the cameras are far from 0; the fit is relative to {origin_text(origin)}")
         split = split.moved(origin)
     schedule = options.schedule(split.training)
     if not split.training.scenery or kind in _OF_INNER_CUBE:

@@ -9,7 +9,7 @@ import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points, Singles
-from nerfbake.kernels.maths.affine import rotate, transform_points
+from nerfbake.kernels.maths.affine import compose, rotate, transform_points
 from nerfbake.kernels.maths.elementary import sigmoid
 from nerfbake.scene.base import Scene, edge_problems, place_problems, require_shape
 from nerfbake.scene.camera import Cameras
@@ -190,7 +190,7 @@ class FunctionField(Scene):
         if found:
             return found
         turned = self.frame[:, :3] / max(self.scale, 1e-300)
-        if not self.scale > 0 or np.abs(turned @ turned.T - np.eye(3)).max() > 1e-3:
+        if not self.scale > 0 or np.abs(compose(turned, turned.T) - np.eye(3)).max() > 1e-3:
             return [
                 Problem("the field's frame", "is no rotation times a scale", "axes of equal length, at right angles")
             ]

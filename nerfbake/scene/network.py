@@ -18,7 +18,7 @@ from nerfbake.kernels.arrays import Floats, Ints, Points, Singles
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import exp, expm1, log, sine_cosine
 from nerfbake.kernels.network.hash_grid import Levels, grid_features
-from nerfbake.kernels.network.mlp import Packed, pack_layers, run_mlp
+from nerfbake.kernels.network.mlp import PackedLayers, pack_layers, run_mlp
 from nerfbake.scene.base import number_problems, require_shape
 from nerfbake.scene.basis import SH_SIZES
 from nerfbake.scene.lattice_field import Activation
@@ -75,7 +75,7 @@ class Mlp:
         return sum(w.size for w in self.weights + self.biases)
 
     @cached_property
-    def packed(self) -> Packed:
+    def packed(self) -> PackedLayers:
         """The layers as kernels take them."""
         return pack_layers(self.weights, self.biases, self.skips, self.rectified)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Ints, Points, Singles
-from nerfbake.kernels.network.mlp import Packed, pack_layers
+from nerfbake.kernels.network.mlp import PackedLayers, pack_layers
 from nerfbake.kernels.network.mlp_grid import run_perceptrons
 from nerfbake.scene.base import edge_problems, number_problems, place_problems, require_shape
 from nerfbake.scene.network import MAX_LAYERS, MAX_UNITS, Frequencies
@@ -65,7 +65,7 @@ class Perceptrons:
         return sum(array.size for array in self.weights + self.biases)
 
     @cached_property
-    def packed(self) -> Packed:
+    def packed(self) -> PackedLayers:
         """The layers as kernels take them."""
         return pack_layers(self.weights, self.biases, (), False)
 

@@ -17,7 +17,7 @@ from nerfbake.kernels.parallel import on_every_core
 LANES = 64  # points at a time
 
 
-class Packed(NamedTuple):
+class PackedLayers(NamedTuple):
     """The layers of a perceptron as two arrays.
 
     numbers  weights and biases, layer after layer; each layer has an even number of outputs
@@ -31,7 +31,7 @@ class Packed(NamedTuple):
 
 def pack_layers(
     weights: tuple[Singles, ...], biases: tuple[Singles, ...], skips: tuple[int, ...], rectified: bool
-) -> Packed:
+) -> PackedLayers:
     """Pack weights (..., out, in) and biases (..., out): numbers (..., size). Axes in front are perceptrons.
 
     skips: layers that also take the perceptron's inputs. rectified: ReLU also follows the last layer. An odd number of
@@ -49,10 +49,10 @@ def pack_layers(
         table.append([*weight.shape[-2:], at, size, k in skips, rectified or k + 1 < len(weights)])
         at = size + bias.shape[-1]
     joined = np.concatenate(numbers, axis=-1).astype(np.float32)
-    return Packed(as_input(joined), as_input(np.array(table, np.int64)))
+    return PackedLayers(as_input(joined), as_input(np.array(table, np.int64)))
 
 
-def run_mlp(packed: Packed, inputs: Singles, outputs: int) -> Singles:
+def run_mlp(packed: PackedLayers, inputs: Singles, outputs: int) -> Singles:
     """(outputs, m) results of a perceptron for (in, m) inputs."""
     out = np.empty((outputs, inputs.shape[1]), np.float32)
     _run(packed, as_input(inputs), out)
@@ -83,7 +83,7 @@ def add_product(numbers: Singles, start: int, columns: int, first: int, x: Singl
 
 
 @compiled()
-def run_layer(packed: Packed, layer: int, x: Singles, count: int, inputs: Singles, y: Singles) -> None:
+def run_layer(packed: PackedLayers, layer: int, x: Singles, count: int, inputs: Singles, y: Singles) -> None:
     """Compute the outputs y (outputs, lanes) of a layer from the `count` first rows of x, and from the inputs."""
     numbers = packed.numbers
     columns, start, bias = packed.table[layer, 1], packed.table[layer, 2], packed.table[layer, 3]
@@ -100,7 +100,7 @@ def run_layer(packed: Packed, layer: int, x: Singles, count: int, inputs: Single
 
 @on_every_core
 @compiled()
-def _run(core: int, cores: int, packed: Packed, inputs: Singles, out: Singles) -> None:
+def _run(core: int, cores: int, packed: PackedLayers, inputs: Singles, out: Singles) -> None:
     m, table = inputs.shape[1], packed.table
     widest = table[:, 0].max()
     given = np.zeros((len(inputs), LANES), np.float32)

@@ -10,11 +10,11 @@ import numpy as np
 
 from nerfbake.kernels.arrays import Ints, Singles, as_input
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.network.mlp import LANES, Packed, run_layer
+from nerfbake.kernels.network.mlp import LANES, PackedLayers, run_layer
 from nerfbake.kernels.parallel import on_every_core
 
 
-def run_perceptrons(packed: Packed, which: Ints, inputs: Singles, outputs: int) -> Singles:
+def run_perceptrons(packed: PackedLayers, which: Ints, inputs: Singles, outputs: int) -> Singles:
     """(outputs, m) results for inputs (in, m), each of the perceptron which (m,). The packed numbers are (n, size)."""
     order = np.argsort(which, kind="stable")
     first = np.searchsorted(which[order], np.arange(len(packed.numbers) + 1)).astype(np.int64)
@@ -31,7 +31,7 @@ def _run(core: int, cores: int, numbers: Singles, table: Ints, first: Ints, inpu
     given = np.zeros((len(inputs), LANES), np.float32)
     one, other = np.empty((widest, LANES), np.float32), np.empty((widest, LANES), np.float32)
     for which in range(core, len(numbers), cores):
-        packed = Packed(numbers[which], table)
+        packed = PackedLayers(numbers[which], table)
         for begin in range(first[which], first[which + 1], LANES):
             end = min(begin + LANES, first[which + 1])
             for i in range(len(inputs)):
