@@ -69,7 +69,7 @@ from nerfbake.jobs.files import FolderTarget, Stage1Source
     help="Width of the gutter around each map, in texels.",
 )
 @click.option(
-    "--up",
+    "--in-up",
     type=click.Choice(["y", "z"]),
     default="y",
     show_default=True,

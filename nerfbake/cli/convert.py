@@ -38,8 +38,8 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
     """Convert between formats, and report any loss.
 
     Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz, without loss.
-    Gaussian splats become .ply, .spz or .glb, and the largest and median loss are printed. With --up, they are rotated
-    so that this axis of their world, in which `info` describes them, points up in the new file.
+    Gaussian splats become .ply, .spz or .glb, and the largest and median loss are printed. With --in-up, they are
+    rotated so that this axis of their world, in which `info` describes them, points up in the new file.
 
     A volume becomes an octree, too. The octree is complete if `nerfbake vdb` wrote the volume with the grids `index` or
     `density,sh`. From any other fog volume the octree gets the density only. With --grid all, each grid of a volume
@@ -54,9 +54,9 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
       nerfbake convert chair.nvdb chair.svo.pb
       nerfbake convert smoke.vdb smoke.nvdb --grid density
       nerfbake convert smoke.vdb smoke.nvdb --grid all
-      nerfbake convert smoke.vdb smoke.svo.npz --grid density --up y
+      nerfbake convert smoke.vdb smoke.svo.npz --grid density --in-up y
       nerfbake convert scene.ply scene.spz
-      nerfbake convert scene.ply scene.glb --up z
+      nerfbake convert scene.ply scene.glb --in-up z
       nerfbake convert upside_down.spz scene.spz --in-axes RDF --spz-version 3
       nerfbake convert cameras.xml transforms.json
       nerfbake convert cameras.xml sparse/0 --to colmap
@@ -75,10 +75,12 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
         return
     for name in ("layout", "no_child"):
         without_effect(name, here="with --grid all, which writes volumes", allowed="no --grid all")
-    split_volume(source, target, up=options["choice"].up, codec=options["codec"], half=options["half"], steps=console)
+    split_volume(
+        source, target, in_up=options["choice"].in_up, codec=options["codec"], half=options["half"], steps=console
+    )
 
 
 def _refuse_options() -> None:
     """Raise UsageError for the options of other scenes."""
-    names = ("layout", "no_child", "grids", "up", "codec", "half", "small", "profile", "voxel_type")
+    names = ("layout", "no_child", "grids", "in_up", "codec", "half", "small", "profile", "voxel_type")
     without_effect(*names, here="on cameras", allowed="--to and --force")

@@ -22,7 +22,7 @@ from nerfbake.jobs.files import Source, Target
     help="Resolution: 2^LEVEL boxes along the longest edge of the visible part, but none smaller than a voxel.",
 )
 @click.option(
-    "--up",
+    "--in-up",
     type=click.Choice(["y", "z"]),
     help="Up axis of IN. z: the nodes of a .glb rotate z to y.  [default: no rotation]",
 )
@@ -36,7 +36,7 @@ def hull(source: Source, target: Target, console: Console, **options: Any) -> No
     \b
       nerfbake hull chair.npz hull.glb
       nerfbake hull chair.svo.pb hull.obj --level 6
-      nerfbake hull smoke.vdb hull.glb --up z
+      nerfbake hull smoke.vdb hull.glb --in-up z
     """
 
     from nerfbake.jobs.hulls import bake_hull

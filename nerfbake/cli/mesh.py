@@ -81,7 +81,7 @@ class TriangleCounts(ParamType[tuple[int, ...]]):
 )
 @click.option("--largest", is_flag=True, help="Keep the largest connected part alone.")
 @click.option(
-    "--up",
+    "--in-up",
     type=click.Choice(["y", "z"]),
     help="For a .glb: up axis of IN, which the nodes rotate to y, glTF's up axis.  [default: z]",
 )
@@ -120,7 +120,7 @@ def mesh(
     texture: int,
     box: Any,
     largest: bool,
-    up: Any,
+    in_up: Any,
     lit: bool,
     environment: str | None,
     image: Any,
@@ -150,7 +150,7 @@ def mesh(
         source,
         Target(target, force=force),
         options=MeshOptions(triangles=lods or triangles, texture=texture, box=box, largest=largest, seed=seed),
-        file=MeshFile(up=up, lit=lit, image=image, environment=environment),
+        file=MeshFile(in_up=in_up, lit=lit, image=image, environment=environment),
         steps=console,
         report=(lambda found: io.print_json(_facts(source, found))) if as_json else None,
         **options,

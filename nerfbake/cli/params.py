@@ -336,7 +336,7 @@ def truth(of: str) -> Callable[[Command], Command]:
 
 
 def grid_options(*, splats: bool = False) -> Callable[[Command], Command]:
-    """Add --grid and --up; pass the command `choice`, a GridChoice. splats: --up applies to splats, too."""
+    """Add --grid and --in-up; pass the command `choice`, a GridChoice. splats: --in-up applies to splats, too."""
     return bundled(
         "choice",
         "jobs.grids.GridChoice",
@@ -348,7 +348,7 @@ def grid_options(*, splats: bool = False) -> Callable[[Command], Command]:
             help="Use only this grid of a volume: a name, or a number from 0. Repeat for more grids.",
         ),
         click.option(
-            "--up",
+            "--in-up",
             type=click.Choice(["y", "z", "-y", "-z", "x", "-x"] if splats else ["y", "z"]),
             help="Up axis of the volume. y: the volume is rotated so that y becomes z."
             + (" Or the axis of splats that points up: it becomes the up axis of OUT." if splats else ""),

@@ -175,7 +175,7 @@ def render(source: Source, pictures: PictureOutputs, shots: ViewSelection, conso
     \b
       nerfbake render chair.npz --out chair.png
       nerfbake render chair.nvdb --out chair.png --lookup trilinear --depth
-      nerfbake render smoke.vdb --grid density --up y --out smoke.png
+      nerfbake render smoke.vdb --grid density --in-up y --out smoke.png
       nerfbake render chair.npz --samples 2 --out smooth.png
       nerfbake render chair.npz --turntable 36 --size 400x400 --out chair.gif
       nerfbake render chair.svo.pb --cameras transforms.json --all --out views

@@ -44,7 +44,7 @@ GRIDS = (
     type=click.Choice(["y", "z"]),
     default="z",
     show_default=True,
-    help="Up axis of OUT. The up axis of IN is z; for splats see --in-up.",
+    help="Up axis of OUT. The up axis of IN is z; of splats that of --in-up.",
 )
 @reading_options(
     click.option(

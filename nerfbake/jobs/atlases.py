@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 from nerfbake import io
 from nerfbake.jobs.budgets import Budget, judge_output, reporting
@@ -26,7 +26,7 @@ def bake_atlas_folder(
     *,
     directions: int = 100,
     direction_set: DirectionSet = "fibonacci",
-    up: str = "y",
+    in_up: Literal["y", "z"] = "y",
     budget: Budget = Budget(),
     steps: Steps = SILENT,
     report: Callable[[Facts], None] | None = None,
@@ -37,7 +37,7 @@ def bake_atlas_folder(
     Reads `source` and the cameras of the budget. Writes the folder `target`, or `target`.rejected if the budget is
     missed. Raises NerfbakeError.
 
-    up       the mesh axis that points up in scene.glb
+    in_up    the mesh axis that points up in scene.glb
     report   is called with the atlas's facts, errors and file sizes once the folder has its final name, also if it is
              rejected
 
@@ -58,7 +58,7 @@ def bake_atlas_folder(
         baked = bake_stage1(stage1, directions=directions, direction_set=direction_set, **options)
     sizes: dict[str, int] = {}
     reported = reporting(lambda: report({**baked.facts, "files": sizes}) if report is not None else None)
-    with reported, target.writing(steps, baked, up=up) as written:
+    with reported, target.writing(steps, baked, up=in_up) as written:
         sizes = written.sizes
         for error in baked.facts["errors"]:
             figures = f"MAE {error['mae']:.3f}, MSE {error['mse']:.3f} of 255"

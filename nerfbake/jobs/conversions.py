@@ -64,8 +64,8 @@ def convert_file(
     source, target = as_source(source), as_target(target)
     if _is_ending(target, "Splats"):
         if layout or no_child or codec or half or choice.grids:
-            raise UsageError("splats have no child slots, grids and codecs; allowed: `up` and the options of splats")
-        return convert_splats(source, target, up=choice.up, choice=splats, steps=steps)
+            raise UsageError("splats have no child slots, grids and codecs; allowed: `in_up` and the options of splats")
+        return convert_splats(source, target, in_up=choice.in_up, choice=splats, steps=steps)
     if splats != SplatChoice():
         given = [name for name, value in vars(splats).items() if value]
         allowed = "`nerfbake compress` for octrees" if given == ["small"] else "OUT of splats"
@@ -90,8 +90,8 @@ def convert_file(
 
 
 def _require_axes(volume: Volume, choice: GridChoice) -> None:
-    if volume.frame is not None and choice.up and not choice.grids:
-        raise UsageError("the octree in IN keeps its own axes; allowed: no `up`, or `grid` for the density only")
+    if volume.frame is not None and choice.in_up and not choice.grids:
+        raise UsageError("the octree in IN keeps its own axes; allowed: no `in_up`, or `grid` for the density only")
 
 
 def _is_ending(target: Target, scene: str) -> bool:
@@ -104,13 +104,13 @@ def convert_splats(
     source: AnySource,
     target: AnyTarget,
     *,
-    up: str | None = None,
+    in_up: str | None = None,
     choice: SplatChoice = SplatChoice(),
     steps: Steps = SILENT,
 ) -> Splats:
     """Write splats in another format, report what it loses, and return the splats as they were written.
 
-    up      the axis of their world that points up: x, -x, y, -y, z or -z. They are rotated so that it becomes -y, which
+    in_up   the axis of their world that points up: x, -x, y, -y, z or -z. They are rotated so that it becomes -y, which
             the formats store as their own up axis. None: they are not rotated
     choice  their axes in the files, and how they are written
 
@@ -128,18 +128,18 @@ def convert_splats(
 
     source, target = as_source(source), as_target(target)
     ways: dict[str, Up] = {way: way for way in UPS}
-    if up is not None and up not in ways:
-        raise UsageError(f"`up` is {up!r}; allowed: {', '.join(UPS)}")
+    if in_up is not None and in_up not in ways:
+        raise UsageError(f"`in_up` is {in_up!r}; allowed: {', '.join(UPS)}")
     options = choice.of_format
     form = target.require("Splats", **options)
     module = form.load_splat_module()
     splats: Splats = choice.read(steps, source, source.read(steps, Splats))
     with source.blamed(steps, "checking the splats"):
         splats.require_usable()
-    if up is not None:
-        splats = splats.with_up(ways[up])
+    if in_up is not None:
+        splats = splats.with_up(ways[in_up])
     elif splats.up not in (None, "-y"):
-        steps.say(f"{source.name}: {splats.up} points up, as the file says; only `up={splats.up}` turns the splats")
+        steps.say(f"{source.name}: {splats.up} points up, as the file says; only `in_up={splats.up}` turns the splats")
     if splats.origin.any() and not module.KEEPS_ORIGIN:
         steps.say(f"{target.name}: {lost_origin(splats.origin, form.suffix)}")
         splats = replace(splats, origin=no_origin())
@@ -187,7 +187,7 @@ def split_volume(
     source: AnySource,
     target: AnyTarget,
     *,
-    up: Literal["y", "z"] | None = None,
+    in_up: Literal["y", "z"] | None = None,
     codec: str | None = None,
     half: bool = False,
     steps: Steps = SILENT,
@@ -207,7 +207,7 @@ def split_volume(
     if target.path == io.STREAM or not _is_ending(target, "Volume"):
         endings = ", ".join(form.suffix for form in catalog.formats_of("Volume"))
         raise UsageError(f"cannot write one file per grid to {target.path}; allowed: a {endings}")
-    whole = GridChoice(up=up).whole(steps, source, source.read(steps, Volume))
+    whole = GridChoice(in_up=in_up).whole(steps, source, source.read(steps, Volume))
     names: list[str] = []
     for number, label in enumerate(whole.labels):
         name = _part_name(target, label)

@@ -166,6 +166,19 @@ class Target(NamedTuple):
         return {name: value for name, value in {**own, **options}.items() if value is not None}
 
 
+def axis_option(form: catalog.Format, in_up: str | None) -> dict[str, Any]:
+    """Return the option `up` of a format of meshes for the up axis of what is read; none if that is None.
+
+    Raises UsageError if the format has no such option.
+    """
+    if in_up is None:
+        return {}
+    if not form.choices("up"):
+        allowed = ", ".join(each.suffix for each in catalog.formats_of("Meshes") if each.choices("up"))
+        raise UsageError(f"`in_up` has no effect on {form.suffix}; allowed: with {allowed}")
+    return {"up": in_up}
+
+
 class FolderTarget(NamedTuple):
     """A folder to write. force: replace an existing folder of the same kind that contains nothing else."""
 

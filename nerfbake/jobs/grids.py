@@ -23,23 +23,23 @@ class GridChoice:
     """Grids of a volume, by name or number, and its up axis. By default the volume is not changed."""
 
     grids: tuple[str, ...] = ()
-    up: str | None = None
+    in_up: str | None = None
 
     def __bool__(self) -> bool:
-        return bool(self.grids or self.up)
+        return bool(self.grids or self.in_up)
 
     def of(self, steps: Steps, source: Source, scene: Any) -> Any:
         """Return the scene with this choice applied. Raises UsageError if there is a choice and it is not a volume."""
         from nerfbake.scene.volume import Volume
 
         if self and not isinstance(scene, Volume):
-            raise UsageError(f"{source.name} is not a volume; allowed: no `grid` and no `up`")
-        if self.up not in (None, "y", "z"):
-            raise UsageError(f"`up` of a volume is {self.up!r}; allowed: y, z")
+            raise UsageError(f"{source.name} is not a volume; allowed: no `grid` and no `in_up`")
+        if self.in_up not in (None, "y", "z"):
+            raise UsageError(f"`in_up` of a volume is {self.in_up!r}; allowed: y, z")
         if self:
             with source.blamed(steps, "choosing grids"):
                 scene = scene.only(self.grids) if self.grids else scene
-                scene = scene.turned() if self.up == "y" else scene
+                scene = scene.turned() if self.in_up == "y" else scene
         return scene
 
     def whole(self, steps: Steps, source: Source, scene: Any) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
+from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target, axis_option
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.mesh import Meshes
@@ -18,7 +18,7 @@ def bake_hull(
     target: AnyTarget,
     *,
     level: int = LEVEL,
-    up: Literal["y", "z"] | None = None,
+    in_up: Literal["y", "z"] | None = None,
     steps: Steps = SILENT,
 ) -> Meshes:
     """Build a mesh that encloses everything visible in a field and return it. This is `nerfbake hull`.
@@ -27,17 +27,17 @@ def bake_hull(
     Raises NerfbakeError.
 
     level  as in build_hull()
-    up     for a .glb: the up axis of `source`; with z, the nodes rotate z to y; None: no rotation
+    in_up  for a .glb: the up axis of `source`; with z, the nodes rotate z to y; None: no rotation
 
     >>> print(bake_hull("a.npz", "hull.glb", level=2))
     mesh of 144 triangles over 74 vertices
     """
     source, target = as_source(source), as_target(target)
-    target.require("Meshes", up=up)
+    options = axis_option(target.require("Meshes"), in_up)
     reading = Reading(steps, source)
     reading.tell_scenery()
     field = reading.field()
     with source.blamed(steps, "building the hull"):
         meshes = build_hull(field, level=level)
-    target.write(steps, meshes, up=up)
+    target.write(steps, meshes, **options)
     return meshes

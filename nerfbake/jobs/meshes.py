@@ -18,6 +18,7 @@ from nerfbake.jobs.files import (
     Target,
     as_source,
     as_target,
+    axis_option,
     read_back_as,
 )
 from nerfbake.jobs.fit_state import Clock
@@ -118,13 +119,13 @@ class MeshOptions:
 class MeshFile:
     """Options of the file.
 
-    up     for a .glb: the up axis of the field, which the nodes rotate to y, glTF's; None: z
+    in_up  for a .glb: the up axis of the field, which the nodes rotate to y, glTF's; None: z
     lit    for a .glb: a rough material that is lit, with normals; False: the colours are shown as they are
     image  coding of the texture; None: JPEG, or PNG in a folder
     environment  for a .glb: a map of the light of the photographs, from which materials are estimated
     """
 
-    up: Literal["y", "z"] | None = None
+    in_up: Literal["y", "z"] | None = None
     lit: bool = False
     image: Image | None = None
     environment: str | None = None
@@ -132,8 +133,9 @@ class MeshFile:
     def options(self, form: catalog.Format) -> dict[str, Any]:
         """Return the options of the format. Those that are given count even if the format does not take them."""
         default = {"image": "jpeg", "quantised": True, "reversible": True, "up": "z"}
-        given = {"up": self.up, "lit": self.lit or self.environment is not None or None, "image": self.image}
+        given = {"lit": self.lit or self.environment is not None or None, "image": self.image}
         fitting = {name: value for name, value in default.items() if form.choices(name)}
+        fitting |= axis_option(form, self.in_up)
         return fitting | {name: value for name, value in given.items() if value is not None}
 
 

@@ -39,6 +39,6 @@ class SplatChoice:
             return splats
         if splats.axes is None:
             found = f"`in_axes` has no effect on {source.name}, whose numbers are its world"
-            raise UsageError(f"{found}; allowed: a file in axes of its format, or `up` for this one")
+            raise UsageError(f"{found}; allowed: a file in axes of its format, or `in_up` for this one")
         with source.blamed(steps, "turning the splats"):
             return with_axes(splats, self.in_axes)

@@ -161,7 +161,7 @@ def test_a_batch_cannot_know_the_files_of_all_grids() -> None:
 
 def test_splats_are_converted_and_the_loss_is_printed(shell: Shell, tmp_path: Path) -> None:
     save(tmp_path / "a.ply", splats(9, degree=1))
-    done = shell("convert", "a.ply", "b.spz", "--small", "--up", "-z", "--axes", "luf")
+    done = shell("convert", "a.ply", "b.spz", "--small", "--in-up", "-z", "--axes", "luf")
     assert (done.returncode, done.stdout) == (0, b"")
     lines = done.stderr.decode().splitlines()
     assert lines[0].startswith("b.spz: 9 splats of SH degree 1, ")

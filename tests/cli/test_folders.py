@@ -207,7 +207,7 @@ def test_a_folder_with_anything_else_is_never_replaced(
 @pytest.mark.parametrize(
     ("command", "variants"),
     [
-        ("atlas stage1 ../out --map-size 4 --directions 8 --up z", ["--method grid --nodes 2", "--method affine"]),
+        ("atlas stage1 ../out --map-size 4 --directions 8 --in-up z", ["--method grid --nodes 2", "--method affine"]),
         ("lattice a.npz ../out --rounds 1", ["--merged", ""]),
         ("shaders ../out", [""]),
         ("sample nerf2mesh ../out --resolution 16", ["--seed 1"]),

@@ -27,7 +27,7 @@ def test_hulls_as_glb_and_obj_stand_where_the_scene_does(tmp_path: Path, monkeyp
     monkeypatch.chdir(tmp_path)
     tree = load("a.npz", N3Tree)
     (wanted,) = build_hull(build_field(tree), level=1).meshes
-    for name, options in (("a.glb", ()), ("a.obj", ()), ("z.glb", ("--up", "z"))):
+    for name, options in (("a.glb", ()), ("a.obj", ()), ("z.glb", ("--in-up", "z"))):
         assert run(["hull", "a.npz", name, "--level", "1", *options, "-q"]) == 0
         found = read(tmp_path / name)
         turned = found.vertices @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]] if options else found.vertices
@@ -61,7 +61,7 @@ def test_a_hull_goes_through_pipes(shell: Shell, tmp_path: Path) -> None:
     ("line", "code", "said"),
     [
         ("hull a.npz a.stl", 2, "'a.stl' has no file extension for a mesh; allowed: .obj, .glb, .ply, or --to"),
-        ("hull a.npz a.obj --up z", 2, "obj"),
+        ("hull a.npz a.obj --in-up z", 2, "--in-up has no effect on .obj; allowed: with .glb"),
         ("hull a.npz a.glb --level 13", 2, "'--level'"),
         ("hull empty.npz a.glb", 1, "empty.npz: the field has no leaf with a density; allowed: at least one"),
         ("hull gone.npz a.glb", 1, "gone.npz"),

@@ -52,8 +52,8 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         ),
     ),
     "hull": (
-        ["a.npz", "OUT.glb", "--level", "2", "--up", "z"],
-        lambda out: jobs.bake_hull("a.npz", f"{out}.glb", level=2, up="z"),
+        ["a.npz", "OUT.glb", "--level", "2", "--in-up", "z"],
+        lambda out: jobs.bake_hull("a.npz", f"{out}.glb", level=2, in_up="z"),
     ),
     "atlas": (
         ["in", "OUT", "--clusters", "3", "--map-size", "8"],
@@ -100,13 +100,13 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     ),
     "poses": (["OUT", "--seed", "3"], lambda out: jobs.find_poses(out, seed=3)),
     "mesh": (
-        ["a.npz", "OUT.glb", *MESH, "--lods", "500,100", "--up", "z", "--lit", "--image", "png"],
+        ["a.npz", "OUT.glb", *MESH, "--lods", "500,100", "--in-up", "z", "--lit", "--image", "png"],
         lambda out: jobs.bake_mesh(
             "a.npz",
             f"{out}.glb",
             pictures=jobs.MeshViews(frames=8, edge=32),
             options=jobs.MeshOptions(triangles=(500, 100), texture=64),
-            file=jobs.MeshFile(up="z", lit=True, image="png"),
+            file=jobs.MeshFile(in_up="z", lit=True, image="png"),
         ),
     ),
     "refit": (

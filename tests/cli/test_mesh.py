@@ -116,7 +116,7 @@ def test_every_kind_of_output_stands_where_the_field_does(capsys: pytest.Capture
         ("a.obj", []),
         ("a.ply", []),
         ("a.glb", ["--lit", "--image", "webp"]),
-        ("b.glb", ["--up", "y"]),
+        ("b.glb", ["--in-up", "y"]),
         ("stage1", ["--seed", "3"]),
     ):
         assert run(["mesh", "a.npz", name, *TEXTURED, *options]) == 0, capsys.readouterr().err

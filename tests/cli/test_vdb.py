@@ -95,7 +95,7 @@ def test_there_and_back_through_pipes(shell: Shell, tmp_path: Path) -> None:
             2,
             "svo.npz takes no option 'codec'; allowed: no_child",
         ),
-        (["convert", "a.vdb", "b.svo.npz", "--up", "y"], 2, "the octree in IN keeps its own axes"),
+        (["convert", "a.vdb", "b.svo.npz", "--in-up", "y"], 2, "the octree in IN keeps its own axes"),
         (["convert", "a.svo.npz", "b.svo.npz", "--half"], 2, "--half is for volumes"),
         (
             ["convert", "a.svo.npz", "b.svo.npz", "--grid", "density"],
@@ -104,9 +104,9 @@ def test_there_and_back_through_pipes(shell: Shell, tmp_path: Path) -> None:
         ),
         (["convert", "a.svo.npz", "b.nvdb"], 1, "holds an octree"),
         (
-            ["render", "a.npz", "--out", "b.png", "--up", "y"],
+            ["render", "a.npz", "--out", "b.png", "--in-up", "y"],
             2,
-            "a.npz is not a volume; allowed: no --grid and no --up",
+            "a.npz is not a volume; allowed: no --grid and no --in-up",
         ),
     ],
 )
@@ -157,9 +157,9 @@ def test_y_up_is_judged_and_turned_back(shell: Shell, tmp_path: Path) -> None:
     done = shell("vdb", "a.npz", "y.vdb", "--grids", "density,sh", "--up", "y", "--min-psnr", "60")
     assert done.returncode == 0, done.stderr
     shell("vdb", "a.npz", "z.vdb", "--grids", "density,sh")
-    shell("convert", "y.vdb", "back.vdb", "--up", "y")
+    shell("convert", "y.vdb", "back.vdb", "--in-up", "y")
     assert np.array_equal(load(tmp_path / "back.vdb", Volume).transform, load(tmp_path / "z.vdb", Volume).transform)
-    for name, options in (("y", ["--up", "y"]), ("z", [])):
+    for name, options in (("y", ["--in-up", "y"]), ("z", [])):
         assert shell("render", f"{name}.vdb", "--out", f"{name}.png", "--size", "24x20", *options).returncode == 0
     assert (tmp_path / "y.png").read_bytes() == (tmp_path / "z.png").read_bytes()
 

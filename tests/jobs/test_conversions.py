@@ -158,7 +158,7 @@ def test_a_file_whose_loss_cannot_be_measured_gets_no_name(
 def test_the_axis_that_points_up_becomes_that_of_the_format(tmp_path: Path) -> None:
     scene = splats(30)
     save(tmp_path / "z_up.ply", scene)
-    convert_splats(tmp_path / "z_up.ply", tmp_path / "b.glb", up="z")
+    convert_splats(tmp_path / "z_up.ply", tmp_path / "b.glb", in_up="z")
     raw = load(tmp_path / "b.glb", Splats).flipped()  # in the axes of glTF
     np.testing.assert_allclose(raw.means, scene.means[:, [0, 2, 1]] * [1, 1, -1], atol=1e-6)
 
@@ -193,7 +193,7 @@ def test_options_that_do_not_fit_splats_are_told(tmp_path: Path) -> None:
     for options, said in (
         ({"half": True}, "splats have no child slots, grids and codecs"),
         ({"choice": GridChoice(grids=("density",))}, "splats have no child slots, grids and codecs"),
-        ({"choice": GridChoice(up="w")}, "`up` is 'w'; allowed: x, -x, y, -y, z, -z"),
+        ({"choice": GridChoice(in_up="w")}, "`in_up` is 'w'; allowed: x, -x, y, -y, z, -z"),
         ({"splats": SplatChoice(small=True)}, r"glb takes no option 'small'; allowed: none"),
         ({"splats": SplatChoice(spz_version=3)}, r"glb takes no option 'spz_version'; allowed: none"),
         ({"splats": SplatChoice(in_axes="RDF")}, r"`in_axes` has no effect on .*a\.ply, whose numbers are its world"),
@@ -223,7 +223,7 @@ def test_splats_on_a_map_keep_their_origin_or_are_told_to_lose_it(tmp_path: Path
         found = load(tmp_path / f"b.{ending}", Splats)
         np.testing.assert_allclose(found.means + found.origin, scene.means + UTM, rtol=0, atol=1e-6)
     assert not any("origin" in line for line in listener.said)
-    convert_splats(tmp_path / "a.ply", tmp_path / "b.spz", up="z", steps=listener)
+    convert_splats(tmp_path / "a.ply", tmp_path / "b.spz", in_up="z", steps=listener)
     kept = load(tmp_path / "a.ply", Splats).with_up("z").origin
     told = "positions are relative to the origin {:.15g} {:.15g} {:.15g}, which .spz cannot keep".format(*kept)
     assert f"{tmp_path / 'b.spz'}: {told}" in listener.said
@@ -247,7 +247,7 @@ def test_a_stated_axis_is_kept_and_told(tmp_path: Path, listener: Listener) -> N
     save(tmp_path / "a.ply", replace(splats(3), up="z"))
     convert_file(tmp_path / "a.ply", tmp_path / "b.glb", steps=listener)
     name = str(tmp_path / "a.ply")
-    assert listener.said[0] == f"{name}: z points up, as the file says; only `up=z` turns the splats"
-    convert_splats(tmp_path / "a.ply", tmp_path / "c.ply", up="z", steps=listener)
+    assert listener.said[0] == f"{name}: z points up, as the file says; only `in_up=z` turns the splats"
+    convert_splats(tmp_path / "a.ply", tmp_path / "c.ply", in_up="z", steps=listener)
     assert not any("as the file says" in line for line in listener.said[1:])
     assert load(tmp_path / "c.ply", Splats).up is None  # -y, as is usual

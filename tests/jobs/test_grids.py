@@ -37,10 +37,10 @@ def test_grids_by_name_and_an_axis() -> None:
     chosen = GridChoice(grids=("Cd",)).of(SILENT, source, volume)
     assert isinstance(chosen, Volume)
     assert [grid.name for grid in chosen.grids] == ["Cd"]
-    assert (GridChoice(up="y").of(SILENT, source, volume).transform != volume.transform).any()
+    assert (GridChoice(in_up="y").of(SILENT, source, volume).transform != volume.transform).any()
     with pytest.raises(NerfbakeError, match=r"^a.vdb: "):
         GridChoice(grids=("nothing",)).of(SILENT, source, volume)
-    with pytest.raises(UsageError, match=r"a\.vdb is not a volume; allowed: no `grid` and no `up`"):
+    with pytest.raises(UsageError, match=r"a\.vdb is not a volume; allowed: no `grid` and no `in_up`"):
         GridChoice(grids=("Cd",)).of(SILENT, source, octree)
 
 

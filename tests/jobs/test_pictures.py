@@ -90,8 +90,8 @@ def test_a_level_a_grid_and_a_mesh_change_what_is_seen() -> None:
     render_views("a.npz", "mesh.png", shot, mesh=PlacedMesh(path="m.obj", how="ztest"))
     for one, other in (("whole", "grey"), ("alone", "mesh")):
         assert np.abs(load(f"{one}.png", Image).colour - load(f"{other}.png", Image).colour).max() > 0.1
-    with pytest.raises(UsageError, match=r"a\.npz is not a volume; allowed: no `grid` and no `up`"):
-        render_views("a.npz", "b.png", shot, choice=GridChoice(up="y"))
+    with pytest.raises(UsageError, match=r"a\.npz is not a volume; allowed: no `grid` and no `in_up`"):
+        render_views("a.npz", "b.png", shot, choice=GridChoice(in_up="y"))
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ COMPOSED = {
     "steps",
 }
 # Options that a command passes to its job in another form, or only under a condition.
-CONVERTED = {"background", "no_child", "up"}
+CONVERTED = {"background", "no_child"}
 
 
 def options_of(function: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
