@@ -75,7 +75,7 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
     for _place, key, value in _entries(fields, "views", name):
         views += 1
         view = _data(value)
-        pose, intrinsic = poses.get(view.get("id_pose")), inside.get(view.get("id_intrinsic"))
+        pose, intrinsic = poses.get(_id(view, "id_pose")), inside.get(_id(view, "id_intrinsic"))
         if pose is None or intrinsic is None:
             continue
         label = "/".join(str(view.get(part, "")) for part in ("local_path", "filename") if view.get(part))
@@ -111,6 +111,12 @@ def _data(value: Mapping[str, Any]) -> dict[str, Any]:
         return {}
     base = data.get("value0")
     return {**base, **data} if isinstance(base, dict) else data
+
+
+def _id(view: Mapping[str, Any], key: str) -> int:
+    """An id, -1 if there is none."""
+    value = view.get(key)
+    return value if type(value) is int else -1
 
 
 def _intrinsics(fields: Mapping[str, Any], name: str) -> dict[Any, _Intrinsic]:

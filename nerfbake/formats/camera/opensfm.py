@@ -106,11 +106,11 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
     album, posed, used = Album(files), [], []
     for label, shot in shots.items():
         place = f"{name}: shot {label[:80]}"
-        if not isinstance(shot, dict) or shot.get("camera") not in known:
+        if not isinstance(shot, dict) or str(shot.get("camera")) not in known:
             raise InvalidFile(Problem(place, "has no camera", "the key of an object in cameras"))
         turn = turn_limited(table(shot.get("rotation"), f"{place}.rotation", (3,)).tolist(), place)
         shift = table(shot.get("translation"), f"{place}.translation", (3,))
-        used.append(known[shot["camera"]])
+        used.append(known[str(shot["camera"])])
         posed.append(Posed(label, album.find(label), pose_shifted(turn_of_axis_angle(*turn), shift), *used[-1]))
     points = _points(files, name, _object(largest, "points", name), dict(zip(shots, used, strict=True)))
     others = len(found) - 1

@@ -45,5 +45,5 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
         pose = np.eye(4)
         pose[:3, :3] = turn_of_quaternion(qw, qx, qy, qz, f"{name}: poses[{i}]")
         pose[:3, 3] = x, y, z
-        posed.append(Posed(str(i), album.find(f"{i}.jpg"), pose, (width, height), focal, centre))
+        posed.append(Posed(str(i), album.find(str(i)), pose, (width, height), focal, centre))
     return cameras_of(posed, dialect="Record3D", source=name)
