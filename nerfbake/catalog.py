@@ -139,6 +139,8 @@ FORMATS = (
     Format("pt", "N3Tree", ".pt", "field.svraster", "SVRaster", writable=False),
     Format("pth", "FunctionField", ".pth", "field.kilonerf", "KiloNeRF", beside=True, writable=False),
     Format("ckpt", "FunctionField", ".ckpt", "field.nerfstudio", "nerfstudio", beside=True, writable=False),
+    Format("ingp", "FunctionField", ".ingp", "field.instant_ngp", "instant-ngp", writable=False, in_gzip=True),
+    Format("msgpack", "FunctionField", ".msgpack", "field.instant_ngp", "instant-ngp", writable=False),
     Format("msgpack", "FunctionField", ".msgpack", "field.jaxnerf", "JaxNeRF, NeRF-SH", beside=True, writable=False),
     Format("th", "LatticeField", ".th", "field.tensorf", "TensoRF", writable=False),
     Format("obj", "Meshes", ".obj", "mesh.obj", "Wavefront mesh", beside=True, spread=(".mtl", ".png", ".jpg")),

@@ -24,7 +24,8 @@ WHOLE_LEVEL = 5  # libdeflate: on a fit's float16 rows 2 % larger than level 6, 
 BEST_LEVEL = 12  # libdeflate: on the chair's coefficients 8 % smaller than level 9, in 2 s
 LEVEL = 2  # zlib-ng: on the chair's densities level 6 saves 0.6 % and takes 2.4 times as long, level 1 adds 31 %
 MAX_INFLATION = 1032  # limit of deflate: 258 bytes for a quarter of a byte
-_GZIP_BITS = 31  # zlib's window bits that stand for gzip
+_GZIP_BITS, _ZLIB_BITS = 31, 15  # zlib's window bits that stand for gzip and for zlib
+_KINDS = {_GZIP_BITS: "gzip", _ZLIB_BITS: "zlib"}
 _GZIP_HEAD = 1 << 12  # bytes: ten, and the name and comment of the packed file
 _SLICE = 1 << 14  # bytes of a stream that are given to zlib-ng at once: it copies those that it does not use
 _PIECE = 1 << 20  # bytes that are inflated before the next check of memory
@@ -81,7 +82,12 @@ def gunzip_start(packed: memoryview, size: int, what: str) -> bytes:
     try:
         return zlib_ng.decompressobj(wbits=_GZIP_BITS).decompress(packed[: _GZIP_HEAD + 2 * size], size)
     except zlib_ng.error as error:  # type: ignore[misc]  # an exception, although its stub does not declare it so
-        raise _damaged_gzip(what, error) from None
+        raise _damaged_stream(what, error, _GZIP_BITS) from None
+
+
+def inflate_all(packed: memoryview, what: str, *, most: int | None = None) -> memoryview:
+    """Like gunzip(), for a zlib stream, whose size is not known."""
+    return _whole(packed, what, most, _ZLIB_BITS)
 
 
 def gunzip(packed: memoryview, what: str, *, most: int | None = None) -> memoryview:
@@ -90,15 +96,19 @@ def gunzip(packed: memoryview, what: str, *, most: int | None = None) -> memoryv
     The content is counted until the surrounding memory.scope() ends. most: its size at most. Raises InvalidFile if it
     has more, or is damaged or cut off, MemoryLimit.
     """
+    return _whole(packed, what, most, _GZIP_BITS)
+
+
+def _whole(packed: memoryview, what: str, most: int | None, bits: int) -> memoryview:
     out = bytearray()
-    unpacker = zlib_ng.decompressobj(wbits=_GZIP_BITS)
+    unpacker = zlib_ng.decompressobj(wbits=bits)
     at = 0
     while at < len(packed):
         if unpacker.eof:
             if not any(packed[at : at + 1]):  # zeros fill the last block of a tape or a device
                 at += 1
                 continue
-            unpacker = zlib_ng.decompressobj(wbits=_GZIP_BITS)
+            unpacker = zlib_ng.decompressobj(wbits=bits)
         piece = packed[at : at + _SLICE]
         at += len(piece)
         given: memoryview | bytes = piece
@@ -106,22 +116,26 @@ def gunzip(packed: memoryview, what: str, *, most: int | None = None) -> memoryv
             # A growing buffer over-allocates by an eighth.
             memory.require(what, _PIECE + len(out) // 8)
             try:
-                found = unpacker.decompress(given, _PIECE)
+                data = unpacker.decompress(given, _PIECE)
             except zlib_ng.error as error:  # type: ignore[misc]  # as above
-                raise _damaged_gzip(what, error) from None
-            if most is not None and len(out) + len(found) > most:
-                raise InvalidFile(Problem(what, f"continues after {most:,} bytes", "a gzip stream that ends there"))
-            memory.hold(what, len(found))
-            out += found
+                raise _damaged_stream(what, error, bits) from None
+            if most is not None and len(out) + len(data) > most:
+                raise InvalidFile(
+                    Problem(what, f"continues after {most:,} bytes", f"a {_KINDS[bits]} stream that ends there")
+                )
+            memory.hold(what, len(data))
+            out += data
             given = unpacker.unconsumed_tail
         at -= len(unpacker.unused_data)
     if not unpacker.eof:
-        raise InvalidFile(Problem(what, f"is cut off after {len(out):,} bytes of content", "a whole gzip stream"))
+        raise InvalidFile(
+            Problem(what, f"is cut off after {len(out):,} bytes of content", f"a whole {_KINDS[bits]} stream")
+        )
     return memoryview(out).toreadonly()
 
 
-def _damaged_gzip(what: str, error: Exception) -> InvalidFile:
-    return InvalidFile(Problem(what, f"is damaged ({error})", "a whole gzip stream"))
+def _damaged_stream(what: str, error: Exception, bits: int) -> InvalidFile:
+    return InvalidFile(Problem(what, f"is damaged ({error})", f"a whole {_KINDS[bits]} stream"))
 
 
 def _diagnosed(packed: memoryview, size: int, what: str) -> bytes:
