@@ -138,6 +138,7 @@ FORMATS = (
     Format("tar", "FunctionField", ".tar", "field.nerf_pytorch", "nerf-pytorch", beside=True, writable=False),
     Format("pt", "N3Tree", ".pt", "field.svraster", "SVRaster", writable=False),
     Format("pth", "FunctionField", ".pth", "field.kilonerf", "KiloNeRF", beside=True, writable=False),
+    Format("pth", "FunctionField", ".pth", "field.torch_ngp", "torch-ngp", writable=False),
     Format("ckpt", "FunctionField", ".ckpt", "field.nerfstudio", "nerfstudio", beside=True, writable=False),
     Format("ingp", "FunctionField", ".ingp", "field.instant_ngp", "instant-ngp", writable=False, in_gzip=True),
     Format("msgpack", "FunctionField", ".msgpack", "field.instant_ngp", "instant-ngp", writable=False),

@@ -113,17 +113,16 @@ def require_grid(grid: Grid, name: str) -> None:
         raise InvalidFile(Problem(name, f"grows by {grid.growth:g} from level to level", f"above 0, below {1 << 20:,}"))
 
 
-def scales_of(grid: Grid) -> Singles:
-    """(L,) float32: 2^(l log2 b) base - 1, each operation in float32, as tiny-cuda-nn computes it."""
-    log2 = np.float32(log(grid.growth) / _LN2)
-    exponents = (np.arange(grid.levels, dtype=np.float32) * log2).astype(np.float64)
-    with np.errstate(over="ignore"):  # layout_of() refuses infinity
-        return np.asarray(exp(exponents * _LN2).astype(np.float32) * np.float32(grid.base) - np.float32(1), np.float32)
+def scales_of(levels: int, base: int, log2_growth: np.float32) -> Singles:
+    """(L,) float32: 2^(l log2 b) base - 1, each operation in float32, as the kernels compute it."""
+    exponents = (np.arange(levels, dtype=np.float32) * log2_growth).astype(np.float64)
+    with np.errstate(over="ignore"):  # callers refuse infinity
+        return np.asarray(exp(exponents * _LN2).astype(np.float32) * np.float32(base) - np.float32(1), np.float32)
 
 
 def layout_of(grid: Grid) -> tuple[Ints, Singles, Ints]:
     """Return `first`, `scale` and `dense` of a HashGrid. Raises InvalidFile for levels of too many nodes."""
-    scale = scales_of(grid)
+    scale = scales_of(grid.levels, grid.base, np.float32(log(grid.growth) / _LN2))
     if not (scale < 1 << 24).all():
         found = f"has levels of up to {float(scale.max()):g} nodes along an axis"
         raise InvalidFile(Problem("the hash grid", found, f"below {1 << 24:,}"))

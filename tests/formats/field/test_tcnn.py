@@ -42,14 +42,14 @@ SCALES = {
 @pytest.mark.parametrize(("levels", "most"), SCALES)
 def test_scales_are_rounded_as_in_c(levels: int, most: int) -> None:
     grid = tcnn.Grid(levels, 2, 19, 16, growth(most, 16, levels))
-    assert_array_equal(tcnn.scales_of(grid), np.array(SCALES[levels, most].split(), np.float32))
+    assert_array_equal(tcnn.layout_of(grid)[1], np.array(SCALES[levels, most].split(), np.float32))
 
 
 def test_without_rounding_a_level_would_have_a_node_more() -> None:
     """2^(4 log2 b) is 8.00000004 for b in float32: 129 nodes, where tiny-cuda-nn has 128."""
     grid = tcnn.Grid(5, 2, 19, 16, growth(128, 16, 5))
     assert np.ceil(float(grid.growth) ** 4 * 16 - 1) + 1 == 129
-    assert np.ceil(tcnn.scales_of(grid)[-1]) + 1 == 128
+    assert np.ceil(tcnn.layout_of(grid)[1][-1]) + 1 == 128
     first, *_ = tcnn.layout_of(grid._replace(log2_rows=24))
     assert first[-1] - first[-2] == 128**3
 
