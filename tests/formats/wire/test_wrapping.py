@@ -51,6 +51,16 @@ def test_one_of_several_scenes_is_not_chosen() -> None:
         unwrap_zip(zipped("x/b.ply", "a.ply", "__MACOSX/c.ply"), ENDINGS)
 
 
+def test_an_archive_around_an_archive_that_lost_its_end_is_refused() -> None:
+    """What is left ends with the directory of the archive inside, in which the scene's name is missing."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("a.ply", bytes(zipped("b.txt")))
+        end = archive.fp.tell()  # type: ignore[union-attr]
+    with pytest.raises(InvalidFile, match=r"zip directory does not list a\.ply; allowed: a complete zip archive"):
+        unwrap_zip(memoryview(file.getvalue()[:end]), ENDINGS)
+
+
 @pytest.mark.parametrize("size", [0, 1, 1 << 14, (1 << 20) + 1])
 def test_gzip_is_read_whole(size: int) -> None:
     content = bytes(range(256)) * (size // 256) + bytes(size % 256)
