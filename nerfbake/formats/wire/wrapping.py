@@ -58,7 +58,7 @@ def unwrap_zip(view: memoryview, endings: Sequence[tuple[str, ...]]) -> Wrapped 
         if found:
             folder, slash, name = found[0].rpartition("/")
             files = ZipFolder(view, "a zip archive").below(folder + slash)
-            if name not in files:  # the directory is that of an archive inside, because the end is missing
+            if name not in files:  # npz_keys() found it by the header in front of it
                 raise InvalidFile(Problem("zip directory", f"does not list {found[0][:80]}", "a complete zip archive"))
             return Wrapped(files[name], name, files)
     return None
