@@ -14,6 +14,7 @@ from tests.fuzz import corpus, hostile_values
 from tests.fuzz.breaking_bytes import break_bytes, break_words
 from tests.fuzz.breaking_json import break_json, break_json_lines
 from tests.fuzz.breaking_media import break_glb, break_obj, break_ply, break_png, break_svoq, break_vdb
+from tests.fuzz.breaking_msgpack import break_msgpack
 from tests.fuzz.breaking_torch import break_torch
 from tests.fuzz.breaking_wires import break_bson, break_capnp, break_flatbuffers, break_protobuf
 from tests.fuzz.breaking_zip import archive_of, break_npy, break_zip, members_of
@@ -27,6 +28,9 @@ _BREAKERS: dict[str, Breaker] = {
     "tar": break_torch,
     "th": break_torch,
     "pt": break_torch,
+    "pth": break_torch,
+    "ckpt": break_torch,
+    "msgpack": break_msgpack,
     "svo.pb": break_protobuf,
     "json": break_json,
     "jsonl": break_json_lines,
@@ -129,7 +133,8 @@ def _wrapped(random: Random, data: bytes, suffix: str) -> tuple[bytes, str]:
     if random.random() < 0.5:
         members.append((random.choice(("._case", "meta.json", "b/case" + suffix, "a.png", "x.txt")), data[:9]))
     packed = archive_of(members, stored=random.random() < 0.5)
-    return break_zip(random, packed, data) if random.random() < 0.4 else packed, random.choice((".zip", suffix))
+    inside = b"" if data[:2] == b"PK" else data  # a broken archive would end break_zip()
+    return break_zip(random, packed, inside) if random.random() < 0.4 else packed, random.choice((".zip", suffix))
 
 
 def _broken_folder(random: Random, form: str) -> dict[str, bytes]:

@@ -27,7 +27,7 @@ from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.scene.image import Depth, Image
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.schedule import parse_schedule
-from tests.support import captures, environments
+from tests.support import captures, environments, nerfs
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.lattices import svox2, svox2_file
 from tests.support.merf import merf, merf_folder
@@ -91,6 +91,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
         "Splats": lambda: _splats(name),
         "EnvironmentMap": lambda: (environments.flat(), environments.runs()),
         "LatticeField": lambda: _lattices(name),
+        "FunctionField": lambda: _functions(name),
     }
     pictures = (_encoded(name, each) for scene in scenes if scene not in makers for each in _pictures(scene))
     return (*(each for scene in scenes if scene in makers for each in makers[scene]()), *pictures)
@@ -110,6 +111,11 @@ def folders_of(name: str) -> tuple[Files, ...]:
         STATE: _states,
     }
     return tuple(makers[name]() if name in makers else _captures(name))
+
+
+def beside(name: str) -> Files:
+    """Files that a format needs in its folder."""
+    return {"kilonerf.yaml": nerfs.KILONERF_YAML.encode()} if name == "pth" else {}
 
 
 def is_folder(name: str) -> bool:
@@ -210,6 +216,19 @@ def _lattices(name: str) -> Iterator[bytes]:
         return
     yield svox2_file(svox2(size=4, plain=False, empty=0.2))
     yield svox2_file(svox2(size=1), deflated=True)
+
+
+def _functions(name: str) -> Iterator[bytes]:
+    """Networks as other programs write them."""
+    if name == "tar":
+        yield nerfs.nerf_pytorch_file(nerfs.nerf_pytorch())
+        yield nerfs.nerf_pytorch_file(None, nerfs.nerf_pytorch(directions=False))
+    elif name == "ckpt":
+        yield nerfs.vanilla_nerf_file(nerfs.vanilla_nerf())
+    elif name == "pth":
+        yield nerfs.kilonerf_file(nerfs.kilonerf())
+    elif name == "msgpack":
+        yield from (nerfs.jaxnerf_file(nerfs.jaxnerf(colour=colour)) for colour in ("directions", "SH4", "SG"))
 
 
 def _volumes(name: str) -> Iterator[bytes]:

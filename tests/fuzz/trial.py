@@ -18,16 +18,20 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import nerfbake
 from nerfbake import catalog, io
 from nerfbake.batch.items import parse_lines
 from nerfbake.batch.report import write_report
 from nerfbake.errors import NerfbakeError
 from nerfbake.jobs.batches import Batch, Item, run_batch
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.memory import memory_limit
 from nerfbake.scene.camera import Camera
 from nerfbake.stages.picture import render_picture, renderable
 from nerfbake.stages.views_to_field import FitState
+from tests.fuzz import corpus
 from tests.fuzz.breakage import Case
 from tests.fuzz.corpus import CHECKPOINT, LINES, STATE
 from tests.support.octrees import small_octree
@@ -164,6 +168,8 @@ def _items(path: Path) -> list[Item]:
 def put(case: Case, place: Path) -> Path:
     """Write the file or folder of a case, and return its path."""
     path = place / case.name
+    for name, content in corpus.beside(case.form).items():
+        (place / name).write_bytes(content)
     if isinstance(case.content, bytes):
         path.write_bytes(case.content)
         return path
@@ -195,6 +201,8 @@ def steps(scene: Any, place: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         yield "render", lambda: _drawn(scene)
     if isinstance(scene, radiance):
         yield "trilinear", lambda: _trilinear(scene)
+    if isinstance(scene, nerfbake.FunctionField):
+        yield "points", lambda: _evaluated(scene)
     if isinstance(scene, nerfbake.Cameras):
         yield (
             "cameras",
@@ -230,6 +238,15 @@ def _view(scene: Any) -> Camera:
 def _drawn(scene: Any) -> Any:
     seen = renderable(scene)
     return render_picture(seen, _view(seen)).pixels
+
+
+def _evaluated(scene: nerfbake.FunctionField) -> Any:
+    """Densities and colours at points in and around the scene's box. Values that are not finite are found first."""
+    scene.require_usable()
+    low, high = scene.world_box
+    points = low + np.random.default_rng(1).random((40, 3)) * 1.2 * (high - low)
+    density, features = scene.density(points)
+    return density, scene.colour(features, fibonacci(40))
 
 
 def _trilinear(scene: Any) -> Any:
