@@ -144,7 +144,8 @@ class NetworkGrid:
 
     def density_of(self, features: Singles) -> Singles:
         """(m,) densities of features (G, m), per unit of the domain."""
-        return np.maximum(features[-2], np.float32(0))
+        density: Singles = np.maximum(features[-2], np.float32(0))
+        return density
 
     def logits(self, features: Singles, directions: Points) -> Singles:
         """(3, m): the colours before the sigmoid, of features (G, m) in unit directions (m, 3)."""

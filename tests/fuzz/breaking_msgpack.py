@@ -47,7 +47,18 @@ def _replacement(random: Random) -> Any:
     for _ in range(random.choice((3, 70))):
         deep = [deep]
     whole = max(-(1 << 63), min(hostile.whole(random), (1 << 64) - 1))
-    kinds = (None, True, 1.5, float("nan"), b"", {}, hostile.text(random), whole, deep, msgpack.ExtType(5, b"x"))
+    kinds: tuple[Any, ...] = (
+        None,
+        True,
+        1.5,
+        float("nan"),
+        b"",
+        {},
+        hostile.text(random),
+        whole,
+        deep,
+        msgpack.ExtType(5, b"x"),
+    )
     return random.choice(kinds)
 
 

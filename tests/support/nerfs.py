@@ -91,7 +91,8 @@ def nerf_pytorch_answers(layers: Layers, points: Any, directions: Any) -> tuple[
 
 # -- nerfstudio's vanilla-nerf ---------------------------------------------------------------------------------
 def vanilla_nerf(seed: int = 0) -> Layers:
-    random, layers = np.random.default_rng(seed), {}
+    random = np.random.default_rng(seed)
+    layers: Layers = {}
     for field in ("field_coarse", "field_fine"):
         for k in range(DEPTH):
             inputs = CODE if k == 0 else WIDTH + CODE * (k == SKIP)
@@ -144,7 +145,8 @@ def jaxnerf(seed: int = 0, colour: str = "directions") -> dict[str, Any]:
         shapes += [(WIDTH, WIDTH), (WIDTH + VIEW_CODE, VIEW), (VIEW, 3)]
     else:
         shapes += [(WIDTH, {"RGB": 3, "SH4": 12, "SG": 3 * LOBES}[colour])]
-    random, parameters = np.random.default_rng(seed), {}
+    random = np.random.default_rng(seed)
+    parameters: dict[str, Any] = {}
     for name in ("MLP_0", "MLP_1"):
         layers = {}
         for k, (inputs, outputs) in enumerate(shapes):
@@ -207,7 +209,8 @@ KILONERF_YAML = "fixed_resolution: [2, 1, 3]\nglobal_domain_min: [-1, -0.5, 0]\n
 
 def kilonerf(seed: int = 0, *, bmm: bool = False) -> Layers:
     """bmm: weights (n, out, in), as its other implementation stores them."""
-    random, layers = np.random.default_rng(seed), {}
+    random = np.random.default_rng(seed)
+    layers: Layers = {}
     shapes = {"pts_linears.0": (CODE, WIDTH), "pts_linears.1": (WIDTH, WIDTH), "feature_linear": (WIDTH, WIDTH)}
     shapes |= {"alpha_linear": (WIDTH, 1), "direction_layer": (WIDTH + VIEW_CODE, VIEW), "rgb_linear": (VIEW, 3)}
     n = int(np.prod(CELLS))

@@ -37,6 +37,7 @@ from nerfbake.formats.field.nerf_layers import (
     frequencies_in,
     layer_names,
     layer_of,
+    octaves,
     trunk_of,
     usual_box,
 )
@@ -48,7 +49,7 @@ from nerfbake.kernels.maths.elementary import cast, expm1, log, sine_cosine
 from nerfbake.scene.basis import SH_SIZES
 from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.lattice_field import Activation
-from nerfbake.scene.network import BasisColour, Frequencies, HeadColour, Mlp, Network
+from nerfbake.scene.network import BasisColour, HeadColour, Mlp, Network
 
 _HEAD = 1 << 10  # bytes that contain the outer keys
 _PLACE = "optimizer.target.params"
@@ -171,20 +172,21 @@ def _network(checkpoint: _Checkpoint, order: Order, activation: Activation) -> t
     layers[count + 1].require_inputs(trunk.outputs)
     colour: HeadColour | BasisColour
     if len(layers) - count == 4:
-        program, colour = "JaxNeRF", _by_direction(*layers[count + 1 :], order)
+        program, colour = "JaxNeRF", _by_direction(layers[count + 1 :], order)
     else:
         program, colour = _coefficients(checkpoint, layers[count + 1])
-    encoding = Frequencies(2.0 ** np.arange((trunk.inputs - 3) // 6), rounded=True)
+    encoding = octaves((trunk.inputs - 3) // 6, rounded=True)
     return Network(encoding, trunk, density.weight[0], float(density.bias[0]), activation, colour), program
 
 
-def _by_direction(bottleneck: Layer, condition: Layer, last: Layer, order: Order) -> HeadColour:
+def _by_direction(layers: list[Layer], order: Order) -> HeadColour:
+    bottleneck, condition, last = layers
     last.require_inputs(condition.outputs)
     last.require_outputs(3)
     frequencies = frequencies_in(condition, bottleneck.outputs)
     own = after_features(condition, columns_of(order, frequencies), code_first=False)
     first, bias = folded(condition, own, bottleneck)
-    code = Frequencies(2.0 ** np.arange(frequencies), rounded=True)
+    code = octaves(frequencies, rounded=True)
     return HeadColour(Mlp((first, last.weight), (bias, last.bias)), code)
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.field.nerf_layers import CORNER_NOTE, MAX_FREQUENCIES, columns_of, layer_names
+from nerfbake.formats.field.nerf_layers import CORNER_NOTE, MAX_FREQUENCIES, Order, columns_of, layer_names, octaves
 from nerfbake.formats.field.torch_model import TorchModel
 from nerfbake.formats.field.yaml_beside import YamlBeside
 from nerfbake.formats.wire.torch import TorchReader, mentions
@@ -34,7 +34,8 @@ from nerfbake.scene.function_field import FunctionField, Occupancy
 from nerfbake.scene.network import Frequencies
 from nerfbake.scene.network_grid import MAX_NETWORKS, NetworkGrid, Perceptrons
 
-_STATE, _ORDER = "model_state_dict", "by coordinate"
+_STATE = "model_state_dict"
+_ORDER: Order = "by coordinate"
 _RESOLUTION, _LOW, _HIGH = "fixed_resolution", "global_domain_min", "global_domain_max"
 _WHITE, _GLOBAL = "blender_white_background", "use_global_coordinates"
 _BOX_FILE, _CELLS_FILE = "bbox.txt", "occupancy.pth"
@@ -148,7 +149,7 @@ def _columns(name: str, inputs: int) -> Ints:
 
 
 def _encoding(columns: Ints) -> Frequencies:
-    return Frequencies(2.0 ** np.arange((len(columns) - 3) // 6))
+    return octaves((len(columns) - 3) // 6)
 
 
 # -- files beside it -------------------------------------------------------------------------------------------

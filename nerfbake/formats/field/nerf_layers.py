@@ -23,7 +23,7 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.kernels.arrays import Ints, Points, Singles
 from nerfbake.kernels.maths.elementary import cast
 from nerfbake.kernels.maths.linear import product
-from nerfbake.scene.network import MAX_LAYERS, MAX_UNITS, Mlp
+from nerfbake.scene.network import MAX_LAYERS, MAX_UNITS, Frequencies, Mlp
 
 MAX_FREQUENCIES = 16
 Order = Literal["by frequency", "sines first", "input last", "by coordinate"]
@@ -79,6 +79,11 @@ def frequencies_in(layer: Layer, others: int = 0) -> int:
         found = f"takes {layer.inputs - others} inputs for a position or direction"
         raise InvalidFile(Problem(layer.name, found, f"3, and 6 for each of up to {MAX_FREQUENCIES} frequencies"))
     return count
+
+
+def octaves(count: int, *, rounded: bool = False) -> Frequencies:
+    """Return the frequencies 1, 2, 4 and so on."""
+    return Frequencies((1 << np.arange(count)).astype(np.float64), rounded=rounded)
 
 
 def columns_of(order: Order, frequencies: int) -> Ints:

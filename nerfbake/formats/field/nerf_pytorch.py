@@ -22,6 +22,7 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.field.nerf_layers import (
     CORNER_NOTE,
     Layer,
+    Order,
     after_features,
     box_note,
     columns_of,
@@ -29,6 +30,7 @@ from nerfbake.formats.field.nerf_layers import (
     frequencies_in,
     layer_names,
     layer_of,
+    octaves,
     trunk_of,
     usual_box,
 )
@@ -36,10 +38,11 @@ from nerfbake.formats.field.torch_model import TorchModel
 from nerfbake.formats.wire.torch import mentions
 from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.lattice_field import Activation
-from nerfbake.scene.network import Frequencies, HeadColour, Mlp, Network
+from nerfbake.scene.network import HeadColour, Mlp, Network
 
 _COARSE, _FINE = "network_fn_state_dict", "network_fine_state_dict"
-_ORDER, _SETTINGS = "by frequency", ("args.txt", "config.txt")
+_ORDER: Order = "by frequency"
+_SETTINGS = ("args.txt", "config.txt")
 _NEAR, _FAR = 2.0, 6.0  # of the scenes of Blender
 _MOST_TEXT = 1 << 16  # bytes
 _ONE_TIME = "a NeRF without a time axis"
@@ -97,7 +100,7 @@ def _network(model: NerfModel) -> Network:
     layers = [model.layer(name) for name in layer_names(model.state, "pts_linears")]
     trunk = trunk_of(layers, _ORDER, code_first=True)
     density, colour = _with_directions(model, trunk) if "rgb_linear.weight" in model.state else _without(model, trunk)
-    encoding = Frequencies(2.0 ** np.arange((trunk.inputs - 3) // 6))
+    encoding = octaves((trunk.inputs - 3) // 6)
     return Network(encoding, trunk, density.weight[0], float(density.bias[0]), Activation("relu"), colour)
 
 
@@ -112,7 +115,7 @@ def _with_directions(model: NerfModel, trunk: Mlp) -> tuple[Layer, HeadColour]:
     own = after_features(view, columns_of(_ORDER, frequencies), code_first=False)
     first, bias = folded(view, own, feature)
     mlp = Mlp((first, rgb.weight), (bias, rgb.bias))
-    return density, HeadColour(mlp, Frequencies(2.0 ** np.arange(frequencies)))
+    return density, HeadColour(mlp, octaves(frequencies))
 
 
 def _without(model: NerfModel, trunk: Mlp) -> tuple[Layer, HeadColour]:

@@ -18,6 +18,7 @@ import numpy as np
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.field.nerf_layers import (
     Layer,
+    Order,
     after_features,
     box_note,
     columns_of,
@@ -40,7 +41,7 @@ _OTHERS = {  # models without a reader, by a key of their state
     "field.mlp_base.layers.0.weight": "is a mip-NeRF, whose samples are cones and not points",
     "temporal_distortion": "is a scene that changes with time",
 }
-_ORDER = "input last"
+_ORDER: Order = "input last"
 _HIGHEST, _HIGHEST_OF_DIRECTIONS = 8.0, 4.0  # exponents of the largest frequencies
 
 

@@ -63,7 +63,7 @@ def test_cells_that_are_not_occupied_are_empty() -> None:
     cells = np.zeros((2, 3, 4), bool)
     cells[1, 2, 0] = True
     field = read(layers, YAML | {"occupancy.pth": torch_file(cells)})
-    points = np.random.default_rng(2).uniform(*DOMAIN, (400, 3))
+    points = DOMAIN[0] + np.random.default_rng(2).random((400, 3)) * (DOMAIN[1] - DOMAIN[0])
     inside = (points[:, 0] > 0) & (points[:, 1] > 1 / 6) & (points[:, 2] < 0.375)
     expected = read(layers).density(points)[0] * inside
     assert 10 < np.count_nonzero(expected) < 50
