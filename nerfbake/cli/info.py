@@ -9,7 +9,7 @@ import click
 from nerfbake import io
 from nerfbake.cli.params import as_json, console_options, source_argument
 from nerfbake.console import LONGEST_TOLD, Console
-from nerfbake.errors import format_size, one_line
+from nerfbake.errors import for_shell, format_size, one_line
 from nerfbake.jobs.files import Source
 
 
@@ -68,7 +68,7 @@ def _text(name: str, value: Any) -> str:
         case list():
             return (" x " if name == "resolution" else ", ").join(_text("", part) for part in value)
         case _:
-            return one_line(str(value), LONGEST_TOLD)
+            return one_line(for_shell(str(value)), LONGEST_TOLD)
 
 
 def _short(number: float) -> str:

@@ -7,6 +7,8 @@ from typing import Any
 from nerfbake import io
 from nerfbake.jobs.files import AnySource, as_source
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.upright import upside_down_note
+from nerfbake.scene.splats import Splats
 from nerfbake.stages.scene_to_summary import summarise_scene
 
 
@@ -22,4 +24,7 @@ def describe_file(source: AnySource, *, steps: Steps = SILENT) -> dict[str, Any]
     with steps.phase(f"reading {source.name}"):
         found: io.Loaded[Any] = io.load_with_format(source.path)  # its notes are in the description
     of_file = {"file": source.path, "format": found.form.name, "bytes_on_disk": found.size, **found.packing}
-    return of_file | summarise_scene(found.scene)
+    facts = of_file | summarise_scene(found.scene)
+    if isinstance(found.scene, Splats) and (note := upside_down_note(found.scene)):
+        facts["notes"] = [*(facts["notes"] or []), note]
+    return facts

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
+from nerfbake.jobs.upright import upside_down_note
 from nerfbake.scene.splat_axes import with_axes
 from nerfbake.scene.splats import Axes, Splats
 
@@ -36,6 +37,8 @@ class SplatChoice:
     def read(self, steps: Steps, source: Source, splats: Splats) -> Splats:
         """Return splats that were read in the axes that are chosen for them. Raises UsageError, MemoryLimit."""
         if self.in_axes is None:
+            if note := upside_down_note(splats):
+                steps.say(f"{source.name}: {note}")
             return splats
         if splats.axes is None:
             found = f"`in_axes` has no effect on {source.name}, whose numbers are its world"

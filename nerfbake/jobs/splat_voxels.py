@@ -13,6 +13,7 @@ from nerfbake.errors import MemoryLimit, UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.reading_options import ReadingOptions
 from nerfbake.jobs.steps import Steps
+from nerfbake.jobs.upright import upside_down_note
 from nerfbake.kernels.arrays import Points
 from nerfbake.kernels.maths.affine import length
 from nerfbake.scene.camera import Cameras
@@ -37,6 +38,8 @@ def choose_splats(steps: Steps, source: Source, splats: Splats, options: Reading
     Voxels stand at the origin of the splats. A box of six numbers is in the world before that shift.
     """
     least, part = options.opacity_min, options.box
+    if note := upside_down_note(splats):
+        steps.say(f"{source.name}: {note}")
     if options.in_up == "stated" and splats.up is not None:
         steps.say(f"{source.name}: {splats.up} points up, as the file says")
     with source.blamed(steps, "cutting the splats"):

@@ -44,9 +44,11 @@ def to_axes(splats: Splats, axes: Axes) -> Splats:
 
 def with_axes(splats: Splats, axes: Axes) -> Splats:
     """Return the splats as they are if their file has these axes, instead of those in which it was read."""
-    if splats.axes in (None, axes):
+    if splats.axes is None:
         return splats
-    return replace(_turned(splats, compose(directions_of(axes).T, directions_of(splats.axes))), axes=axes)
+    return replace(
+        _turned(splats, compose(directions_of(axes).T, directions_of(splats.axes))), axes=axes, axes_known=True
+    )
 
 
 def _turned(splats: Splats, turn: Floats) -> Splats:

@@ -59,6 +59,7 @@ class Splats(Scene):
     origin       (3,) float64: the point of the world that the means are relative to; 0 for all files but those far from
                  it, see scene/origin.py. Cameras and boxes of stages are relative to it, too
     axes         the axes in which the file was read, one of scene/splat_axes.py; None: its numbers are the world's
+    axes_known   False: the file does not name its axes, and its program is not known to write them as its format says
 
     The world is that of the training program, usually with y down and z forward: a .ply holds it as it is. Readers of
     formats with other axes turn them.
@@ -83,6 +84,7 @@ class Splats(Scene):
     left_out: tuple[str, ...] = ()
     origin: Floats = field(default_factory=no_origin)
     axes: Axes | None = None
+    axes_known: bool = True
 
     def __post_init__(self) -> None:
         n = len(self.means)

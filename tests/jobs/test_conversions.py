@@ -12,10 +12,20 @@ import pytest
 
 from nerfbake import SparseVoxelOctree, Splats, VdbTree, Volume, load, save
 from nerfbake.errors import InvalidScene, MemoryLimit, NerfbakeError, OutputError, UsageError
-from nerfbake.jobs import GridChoice, SplatChoice, Target, bake_volume, convert_file, convert_splats, split_volume
+from nerfbake.jobs import (
+    GridChoice,
+    SplatChoice,
+    Target,
+    bake_volume,
+    convert_file,
+    convert_splats,
+    describe_file,
+    split_volume,
+)
 from tests.jobs.listener import Listener
 from tests.support.scenes import assert_same_octree
 from tests.support.splats import gzip_spz, splats, with_property
+from tests.support.standing import standing
 from tests.support.vdb_readers import tree, volume
 
 VOXELS = [[0, 0, 0], [1, 2, 3], [9, 0, 5]]
@@ -169,6 +179,7 @@ def test_the_axes_of_a_spz_are_chosen_and_its_old_readers_named(tmp_path: Path, 
     convert_splats(tmp_path / "a.spz", tmp_path / "b.spz", choice=SplatChoice(in_axes="RDF"), steps=listener)
     assert f"{tmp_path / 'a.spz'}: axes not named; read as right, up, back (SPZ's README)" in listener.said
     assert listener.said[-1].startswith(f"{tmp_path / 'b.spz'}: version 4 of .spz; Omniverse's converter, ")
+    assert not any("upside down" in line for line in listener.said)
     np.testing.assert_allclose(load(tmp_path / "b.spz", Splats).means, scene.means, atol=1e-3)
     choice = SplatChoice(axes="LFU", spz_version=3)
     convert_splats(tmp_path / "b.spz", tmp_path / "c.spz", choice=choice, steps=listener)
@@ -176,6 +187,28 @@ def test_the_axes_of_a_spz_are_chosen_and_its_old_readers_named(tmp_path: Path, 
     found = load(tmp_path / "c.spz", Splats)
     assert found.axes == "LFU"
     np.testing.assert_allclose(found.means, scene.means, atol=1e-3)
+
+
+def test_splats_that_look_upside_down_are_told_unless_their_axes_are_known(tmp_path: Path, listener: Listener) -> None:
+    scene = standing("a turntable")
+    (tmp_path / "a.spz").write_bytes(gzip_spz(scene, 3))  # turns nothing
+    note = "this file looks upside down (its upper end has "
+    advice = "; try `in_axes=RDF` of `nerfbake convert`"
+    convert_splats(tmp_path / "a.spz", tmp_path / "b.spz", steps=listener)
+    (line,) = (line for line in listener.said if note in line)
+    assert line.startswith(str(tmp_path / "a.spz"))
+    assert line.endswith(advice)
+    (told,) = (line for line in describe_file(tmp_path / "a.spz")["notes"] if line.startswith(note))
+    assert told.endswith(advice)
+    assert describe_file(tmp_path / "b.spz")["notes"] is None  # names its axes
+    convert_splats(tmp_path / "a.spz", tmp_path / "c.glb", choice=SplatChoice(in_axes="RDF"), steps=listener)
+    assert sum(note in line for line in listener.said) == 1
+    (tmp_path / "d.spz").write_bytes(gzip_spz(scene.flipped(), 3))  # as SPZ's README says
+    assert not any("upside" in line for line in describe_file(tmp_path / "d.spz")["notes"])
+    whole = (tmp_path / "c.glb").read_bytes()
+    for generator, known in ((b"nerfbake", True), (b"somebody", False)):
+        (tmp_path / "e.glb").write_bytes(whole.replace(b"nerfbake", generator, 1))
+        assert load(tmp_path / "e.glb", Splats).axes_known == known
 
 
 def test_notes_and_dropped_rows_of_splats_are_told(tmp_path: Path, listener: Listener) -> None:

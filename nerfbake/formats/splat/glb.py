@@ -100,16 +100,21 @@ def decode(view: memoryview) -> Splats:
     if not parts:
         raise malformed("the .glb", "has no splats", f"a primitive with {EXTENSION} in the scene")
     memory.hold("the splats", 2 * sum(memory.size_of(part) for part, _ in parts))
-    whole = replace(from_axes(_placed(parts), _axes(document.root.get("asset"))), left_out=("meshes",) * bool(notes))
+    axes, known = _axes(document.root.get("asset"))
+    whole = replace(from_axes(_placed(parts), axes), axes_known=known, left_out=("meshes",) * bool(notes))
     return replace(whole, notes=(*whole.notes, *notes))
 
 
-def _axes(asset: Any) -> Axes:
-    """Return the axes of a file: those of glTF, but for files of nerfbake before it turned the front to +z."""
-    if not isinstance(asset, dict) or asset.get("generator") != _OURS:
-        return _GLTF
+def _axes(asset: Any) -> tuple[Axes, bool]:
+    """Return the axes of a file, and whether its program is known.
+
+    They are those of glTF, but for files of nerfbake before it turned the front to +z.
+    """
+    generator = str(asset.get("generator", "")) if isinstance(asset, dict) else ""
+    if generator != _OURS:
+        return _GLTF, _GENERATOR.match(generator) is not None
     extras = asset.get("extras")
-    return _GLTF if isinstance(extras, dict) and extras.get(_FRONT) == _PLUS_Z else _OF_BEFORE
+    return _GLTF if isinstance(extras, dict) and extras.get(_FRONT) == _PLUS_Z else _OF_BEFORE, True
 
 
 def _placed(parts: list[tuple[Splats, Floats]]) -> Splats:

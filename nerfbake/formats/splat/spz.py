@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -161,7 +162,7 @@ def decode(view: memoryview) -> Splats:
 
     antialiased = bool(head.flags & _ANTIALIASED)
     splats = splats_in_blocks(n, B, rows, antialiased=antialiased, notes=(*notes, *more))
-    return from_axes(splats, system)
+    return replace(from_axes(splats, system), axes_known=_UNNAMED not in more)
 
 
 def _attributes(view: memoryview, head: _Head) -> tuple[list[memoryview], memoryview, list[str]]:

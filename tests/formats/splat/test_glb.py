@@ -20,6 +20,7 @@ from nerfbake.formats.splat import glb
 from tests.formats.splat.test_ply import assert_same
 from tests.support.hostile import refused_as_it_is
 from tests.support.meshes import cube
+from tests.support.splat_pictures import covariances
 from tests.support.splats import splats
 
 NAME = "KHR_gaussian_splatting"
@@ -316,7 +317,38 @@ def test_trimesh_shows_the_splats_as_coloured_points() -> None:
     np.testing.assert_allclose(points.colors[:, 3], scene.opacity * 255, atol=0.51)
 
 
+def test_a_node_that_scales_unevenly_stretches_splats() -> None:
+    """The ellipsoids are those of the matrix; SH turn by its rotation alone."""
+    scene = splats(40, degree=3)
+    scales = np.array([1.5, 0.25, 3.0])
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn * scales, [1, 2, 3]
+    data = changed(written(scene), lambda document: document["nodes"][0].update(matrix=matrix.T.reshape(-1).tolist()))
+    found, own = decoded(data).flipped(TO_GLTF), scene.flipped(TO_GLTF)
+    np.testing.assert_allclose(found.means, own.means @ matrix[:3, :3].T + matrix[:3, 3], atol=1e-5)
+    expected = matrix[:3, :3] @ covariances(own) @ matrix[:3, :3].T
+    size = np.sqrt(np.einsum("nij,nij->n", expected, expected))[:, None, None]
+    np.testing.assert_allclose(covariances(found) / size, expected / size, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(found.quats, axis=1), 1, atol=1e-6)
+    matrix[:3, :3] = turn
+    plain = changed(written(scene), lambda document: document["nodes"][0].update(matrix=matrix.T.reshape(-1).tolist()))
+    np.testing.assert_allclose(found.sh, decoded(plain).flipped(TO_GLTF).sh, atol=1e-5)
+
+
+@pytest.mark.parametrize("scales", [[0, 0, 0], [1, 0, 0], [1, 1, 0], [1e-20, 1, 1e-20]])
+def test_flat_splats_are_stretched_too(scales: list[float]) -> None:
+    scene = splats(9, degree=0)
+    scene = replace(scene, scales=np.tile(np.array(scales, np.float32), (9, 1)))
+    found = decoded(changed(written(scene), lambda document: document["nodes"][0].update(scale=[1, 2, 3])))
+    assert not found.problems()
+    one, own = covariances(found.flipped(TO_GLTF)), covariances(scene.flipped(TO_GLTF))
+    matrix = np.diag([1.0, 2, 3])
+    np.testing.assert_allclose(one, matrix @ own @ matrix, atol=1e-6)
+
+
 # -- hostile files ---------------------------------------------------------------------------------------------
+SHEAR = [1, 0.5, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
 SOUND = written(splats(9, degree=1))
 
 
@@ -366,7 +398,7 @@ LIES: dict[str, tuple[bytes, str]] = {
     ),
     "no splats in the scene": (changed(SOUND, lambda document: document.update(nodes=[{}])), "has no splats"),
     "a node that shears": (
-        changed(SOUND, lambda document: document["nodes"][0].update(scale=[1, 2, 3])),
+        changed(SOUND, lambda document: document["nodes"][0].update(matrix=SHEAR)),
         "shears, or scales the axes differently; allowed: a rotation, a reflection, and one scale",
     ),
     "a huge node": (changed(SOUND, lambda document: document["nodes"][0].update(scale=[1e300] * 3)), "the transform"),

@@ -174,7 +174,8 @@ def test_named_axes_can_be_overruled() -> None:
     assert np.abs(wrong.means - scene.means).max() > 1
     right = with_axes(wrong, "RDF")
     assert_same(right, spz.decode(memoryview(as_stored)), atol=0)
-    assert (right.axes, with_axes(right, "RDF")) == ("RDF", right)
+    assert (right.axes, right.axes_known) == ("RDF", True)
+    assert with_axes(right, "RDF").means is right.means
     mirrored = with_axes(wrong, "LBU")
     np.testing.assert_array_equal(mirrored.means, spz.decode(memoryview(
         as_stored[:32] + struct.pack("<III", 0xADBE0003, 4, 15) + as_stored[TOC:]
