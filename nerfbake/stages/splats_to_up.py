@@ -51,7 +51,7 @@ def measure_stand(splats: Splats) -> Stand:
     """Return how wide the ends of the splats are. -y points up. Too few splats have a ratio of 1.
 
     >>> import numpy as np
-    >>> from nerfbake import Splats
+    >>> from nerfbake import Splats, measure_stand
     >>> x, z = np.meshgrid(np.linspace(-1, 1, 30), np.linspace(-1, 1, 30))
     >>> floor = np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=1)
     >>> post = np.stack([0.01 * floor[:, 0], np.linspace(0, 1, 900), 0.01 * floor[:, 2]], axis=1)
