@@ -32,7 +32,7 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
         "stages.n3tree_to_octree stages.octree_to_octree stages.brick_field_to_octree stages.brick_field_to_n3tree"
         " stages.lattice_to_octree stages.vdb_to_octree stages.octree_to_compression stages.shapes_to_n3tree",
     ),
-    "Radiance fields": (nerfbake, "scene.radiance_field scene.brick_field scene.lattice_field"),
+    "Radiance fields": (nerfbake, "scene.radiance_field scene.brick_field scene.function_field scene.lattice_field"),
     "Making fields": (
         nerfbake,
         "stages.scene_to_field stages.octree_to_brick_field stages.octree_to_lattice stages.lattice_to_image"
