@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nerfbake import io
-from nerfbake.errors import BudgetMissed
+from nerfbake.errors import BudgetMissed, Problem
 from nerfbake.jobs.files import FolderTarget, Source, Target, read_back_as
 from nerfbake.jobs.steps import SILENT, Steps
 
@@ -47,6 +47,15 @@ class Budget:
         target.require(scene, inputs)
         if self.min_psnr is not None:
             target._replace(path=str(io.rejected_path(target.path))).require(scene, inputs)
+
+    def judge(self, psnr: float, what: str, judged_on: str) -> None:
+        """Raise BudgetMissed if a mean PSNR in dB is below the limit.
+
+        what: the output and its verb, as "the mesh has". judged_on: the pictures that it was measured on.
+        """
+        if self.min_psnr is not None and not psnr >= self.min_psnr:
+            found = f"a mean PSNR of {psnr:.2f} dB on {judged_on}"
+            raise BudgetMissed(Problem(what, found, f"`min_psnr={self.min_psnr:g}`"))
 
     @property
     def inputs(self) -> tuple[str | None, ...]:

@@ -148,6 +148,10 @@ class Target(NamedTuple):
         if io.is_pipe_or_device(self.path):
             raise UsageError(f"{self.path} is a pipe or a device, but {reason}; allowed: a regular file")
 
+    def require_read_back(self, command: str) -> None:
+        """Raise UsageError for an output that this command cannot read back to measure it."""
+        self.require_measurable(f"{command} measures the file that it wrote")
+
     def write(self, steps: Steps, scene: Any, **options: Any) -> None:
         """Write a scene. Options are passed to the format, except those that are None."""
         with self.writing(steps, scene, **options):

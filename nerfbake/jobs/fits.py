@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from nerfbake import __version__, catalog, io, progress
 from nerfbake.errors import InvalidScene, Stopped, UsageError
@@ -14,7 +14,7 @@ from nerfbake.jobs.compressions import CompressionGoal, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, kept_as_partial, write_partial
 from nerfbake.jobs.meshes import MeshFile, build_mesh, require_mesh
-from nerfbake.jobs.photographs import PhotographOptions, SplitViews, cut_out, mean_of, read_photographs
+from nerfbake.jobs.photographs import MeasuredViews, PhotographOptions, SplitViews, cut_out, mean_of, read_photographs
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.splats import SplatsOptions, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
@@ -161,7 +161,8 @@ class FitOptions:
         return {"nerfbake": __version__, "schedule": str(schedule), "basis": self.basis_of(views), **rest}
 
 
-class FitResult(NamedTuple):
+@dataclass(frozen=True)
+class FitResult(MeasuredViews):
     """The result of a fit, measured on the written file.
 
     path      path of the file; content: description of its contents; bytes: its size
@@ -179,16 +180,6 @@ class FitResult(NamedTuple):
     worked: float
     passed: float
     curve: tuple[CurvePoint, ...]
-
-    @property
-    def psnr(self) -> float:
-        """Mean PSNR over the views in dB."""
-        return mean_of(self.views, "psnr")
-
-    @property
-    def ssim(self) -> float:
-        """Mean SSIM over the views."""
-        return mean_of(self.views, "ssim")
 
     @property
     def corrected(self) -> float:
@@ -346,7 +337,7 @@ def _read(
 
 def _require(target: Target) -> str:
     """Return the type of scene of the target. Raises NerfbakeError if a field cannot be written there."""
-    target.require_measurable("fit measures the file that it wrote")
+    target.require_read_back("fit")
     kinds = [kind for kind in KINDS if catalog.is_ending(target.ending, kind)]
     kind = kinds[0] if kinds else None
     # Meshes and splats share extensions. Such a file is a mesh if its format has a texture, and splats otherwise.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from nerfbake import catalog, io, progress
-from nerfbake.errors import BudgetMissed, Problem, UsageError
+from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
 from nerfbake.jobs.files import (
     AnySource,
@@ -23,6 +23,7 @@ from nerfbake.jobs.files import (
 )
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.photographs import (
+    MeasuredViews,
     PhotographOptions,
     SplitViews,
     mean_of,
@@ -139,7 +140,8 @@ class MeshFile:
         return fitting | {name: value for name, value in given.items() if value is not None}
 
 
-class MeshQuality(NamedTuple):
+@dataclass(frozen=True)
+class MeshQuality(MeasuredViews):
     """How near a mesh comes to held-out views.
 
     views        error of its pictures on each of them, with highlights if it has any
@@ -161,12 +163,7 @@ class MeshQuality(NamedTuple):
         """Mean PSNR over the views in dB; of a mesh with materials, under the map."""
         if self.lit:
             return sum(self.lit) / len(self.lit)
-        return mean_of(self.views, "psnr")
-
-    @property
-    def ssim(self) -> float:
-        """Mean SSIM over the views."""
-        return mean_of(self.views, "ssim")
+        return super().psnr
 
     @property
     def iou(self) -> float:
@@ -268,7 +265,7 @@ def bake_mesh(
         loaded, quality = _judged(steps, place, written.path, split.held_out, judged_on)
         if light is not None:
             written_mesh = replace(_levels(loaded)[0], material=_levels(scene)[0].material)
-            quality = quality._replace(lit=_lit(steps, source, written_mesh, split.held_out, light))
+            quality = replace(quality, lit=_lit(steps, source, written_mesh, split.held_out, light))
         levels = tuple(len(mesh.faces) for mesh in _levels(scene))
         found = MeshResult(place.path, str(loaded), written.size, levels, quality, worked, materials)
         io.report_result(psnr=quality.psnr)
@@ -278,9 +275,7 @@ def bake_mesh(
             what = f"roughness {each.roughness:.2f}, specular strength {each.specular:.2f}"
             steps.say(f"{place.path}: material {number}: {each.share:.1%} of the texels, {what}")
         steps.say(f"{place.path}: {quality}; after {worked:.0f} CPU seconds")
-        if min_psnr is not None and quality.psnr < min_psnr:
-            psnr = f"has a mean PSNR of {quality.psnr:.2f} dB"
-            raise BudgetMissed(Problem("the mesh", psnr, f"`min_psnr={min_psnr:g}`"))
+        Budget(min_psnr=min_psnr).judge(quality.psnr, "the mesh has", quality.judged_on)
     return found
 
 
@@ -315,7 +310,7 @@ def require_mesh(
             names = ", ".join(f"`{name}`" for name in given) or "levels of detail"
             raise UsageError(f"{place.path} is a folder, for which {names} have no effect; allowed: with a file")
         return {}
-    place.require_measurable("mesh measures the file that it wrote")
+    place.require_read_back("mesh")
     form = place.require("Meshes")
     format_options = file.options(form)
     if file.environment is not None and "reversible" not in format_options:

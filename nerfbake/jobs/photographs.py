@@ -80,6 +80,22 @@ class SplitViews(NamedTuple):
         return SplitViews(*(replace(views, cameras=views.cameras.relative_to(start)) for views in self))
 
 
+class MeasuredViews:
+    """Means of the errors on held-out views, for a result that has these `views`."""
+
+    views: tuple[ViewError, ...]
+
+    @property
+    def psnr(self) -> float:
+        """Mean PSNR over the views in dB."""
+        return mean_of(self.views, "psnr")
+
+    @property
+    def ssim(self) -> float:
+        """Mean SSIM over the views."""
+        return mean_of(self.views, "ssim")
+
+
 def mean_of(views: Sequence[ViewError], name: Literal["psnr", "ssim", "corrected"]) -> float:
     """Return the mean of a figure over the views."""
     return float(sum(getattr(view, name) for view in views) / len(views))

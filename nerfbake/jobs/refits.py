@@ -145,7 +145,7 @@ def refit_file(
 
 def _require(target: Target, no_child: int | None) -> None:
     """Raise NerfbakeError if an octree cannot be written to the target."""
-    target.require_measurable("refit measures the file that it wrote")
+    target.require_read_back("refit")
     target.require("SparseVoxelOctree", no_child=no_child)
 
 

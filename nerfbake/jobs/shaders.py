@@ -25,6 +25,14 @@ NEEDS = {  # each shader and the files that it includes; WGSL has no #include, s
 }
 PAGE = "README.md"
 _TITLE = b"# Shaders that read nerfbake's files\n"  # the first line of PAGE, in every version
+# HLSL has the harmonics of GLSL, with these changes.
+_TO_HLSL = (
+    (r"(?m)^// GLSL ES .*$", "// HLSL, shader model 5."),
+    (r"(?m)^(precision .*\n)+\n", ""),
+    (r"(?m)^const ", "static const "),
+    (r"\bvec3\b", "float3"),
+    (r"_GLSL\b", "_HLSL"),
+)
 _INCLUDE = re.compile(r'^#include "(.*)"\n', re.MULTILINE)
 
 
@@ -93,6 +101,11 @@ def shader_text(name: str) -> str:
     WebGL has no #include, so a GLSL file contains the text of its includes, with their include guards. If you paste
     several files into one, only the first copy of an include is compiled.
     """
+    if name == "hlsl/harmonics.hlsl":
+        text = shader_text("glsl/harmonics.glsl")
+        for pattern, other in _TO_HLSL:
+            text = re.sub(pattern, other, text)
+        return text
     data = pkgutil.get_data("nerfbake", f"shaders/{name}")
     assert data is not None
     text = data.decode()

@@ -5,17 +5,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from nerfbake import io, progress
-from nerfbake.errors import BudgetMissed, Problem
 from nerfbake.jobs.budgets import Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial
 from nerfbake.jobs.photographs import (
+    MeasuredViews,
     PhotographOptions,
     SplitViews,
-    mean_of,
     read_photographs_of,
     render_split,
     require_alike,
@@ -72,7 +70,8 @@ class SplatsOptions:
     seed: int = 0
 
 
-class SplatsResult(NamedTuple):
+@dataclass(frozen=True)
+class SplatsResult(MeasuredViews):
     """The result of baking splats, measured on the written file.
 
     path    path of the file; content: description of its contents; bytes: its size; splats: their number
@@ -87,16 +86,6 @@ class SplatsResult(NamedTuple):
     views: tuple[ViewError, ...]
     worked: float
     passed: float
-
-    @property
-    def psnr(self) -> float:
-        """Mean PSNR over the views in dB."""
-        return mean_of(self.views, "psnr")
-
-    @property
-    def ssim(self) -> float:
-        """Mean SSIM over the views."""
-        return mean_of(self.views, "ssim")
 
 
 def bake_splats(
@@ -153,10 +142,7 @@ def bake_splats(
             views, content = _measured(steps, target, written, split.held_out)
         found = SplatsResult(target.path, content, written.size, count, views, worked, passed)
         io.report_result(psnr=found.psnr)
-        if min_psnr is not None and not found.psnr >= min_psnr:
-            raise BudgetMissed(
-                Problem("the splats", f"have {found.psnr:.2f} dB on {split.held_out}", f"{min_psnr:g} dB or more")
-            )
+        Budget(min_psnr=min_psnr).judge(found.psnr, "the splats have", str(split.held_out))
         seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {split.held_out}"
         steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
     return found
@@ -179,7 +165,7 @@ def fitted_splats(
 
 
 def _require(target: Target, min_psnr: float | None) -> None:
-    target.require_measurable("splats measures the file that it wrote")
+    target.require_read_back("splats")
     target.require("Splats")
     Budget(min_psnr=min_psnr).require(target)
 

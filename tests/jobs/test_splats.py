@@ -52,7 +52,8 @@ def test_splats_that_cannot_be_measured_are_kept(monkeypatch: pytest.MonkeyPatch
 
 def test_a_missed_limit_is_reported_and_nothing_takes_the_name(folder: Path, listener: Listener) -> None:
     found: list[SplatsResult] = []
-    with pytest.raises(BudgetMissed, match=r"a\.spz: the splats have .* dB on 8 pictures with alpha; allowed: 99 dB"):
+    missed = r"a\.spz: the splats have a mean PSNR of .* dB on 8 pictures with alpha; allowed: `min_psnr=99`"
+    with pytest.raises(BudgetMissed, match=missed):
         bake_splats("a.npz", "a.spz", PICTURES, options=OPTIONS, min_psnr=99, steps=listener, report=found.append)
     assert found[0].psnr < 99
     assert (folder / "a.spz.rejected").exists()

@@ -35,8 +35,8 @@ import numpy.typing as npt
 
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
-from nerfbake.formats.octree.fields import NoChild, Profile, VoxelType, children_with, octree_from_fields, small_fields
-from nerfbake.formats.wire.blob import array_fields, blob_in, blob_of
+from nerfbake.formats.octree.fields import TABLE, NoChild, Profile, VoxelType, octree_from_table, table_of
+from nerfbake.formats.wire.blob import blob_of
 from nerfbake.scene.octree import SparseVoxelOctree
 
 MAX_COUNT = 2**29 - 1  # elements of a list; for a blob, bytes
@@ -191,7 +191,7 @@ class CapnpStruct:
         words = self._message.words(found.segment, found.word, -(-count * itemsize // 8))
         return np.frombuffer(words, dtype, count)
 
-    def struct(self, index: int) -> CapnpStruct | None:
+    def table(self, index: int) -> CapnpStruct | None:
         found = self._follow(index)
         return CapnpStruct(self._message, found) if found else None
 
@@ -201,6 +201,10 @@ class CapnpStruct:
 
 _DATA_WORDS, _POINTERS = 2, 10  # section sizes of the schema's struct
 _MAX_SECTION = 64
+# Numbers and pointers are counted apart.
+_NUMBERS = [name for name, kind in TABLE.items() if kind == "number"]
+_OBJECTS = [name for name, kind in TABLE.items() if kind != "number"]
+_INDEX = {name: k for names in (_NUMBERS, _OBJECTS) for k, name in enumerate(names)}
 
 
 def recognise(view: memoryview) -> bool:
@@ -221,40 +225,11 @@ def encode(
     voxel_type: VoxelType = "number",
 ) -> Iterator[bytes | memoryview]:
     """Yield the message in pieces. Raises InvalidScene for an array that a Cap'n Proto list cannot count."""
-    small = small_fields(octree, voxel_type)
-    children, data = children_with(octree.node_children, no_child), octree.node_data
-    report = profile == "report"
-    fields: list[Field] = [
-        small["type_url"],
-        children if report else None,
-        data.astype(np.float32, copy=False) if report else None,
-        octree.data_format or None,
-        np.array(octree.level_sizes, np.int32),
-        octree.origin,
-        octree.voxel_size,
-        octree.extra_data,
-        None if report else array_fields(children),
-        None if report else array_fields(data),
-    ]
-    yield from write_struct([*octree.size, octree.data_dim], fields)
+    fields = table_of(octree, no_child=no_child, profile=profile, voxel_type=voxel_type)
+    numbers, pointers = ([value for value in fields if isinstance(value, int) == whole] for whole in (True, False))
+    yield from write_struct(numbers, pointers)
 
 
 def decode(view: memoryview) -> SparseVoxelOctree:
     """Read an octree of either profile; its arrays are views of the file."""
-    root = CapnpMessage(view).root
-    return octree_from_fields(
-        {
-            "type_url": root.text(0),
-            "width": root.number(0),
-            "height": root.number(1),
-            "depth": root.number(2),
-            "node_children": blob_in(root.struct(8)) or root.array(1, "<i4"),
-            "node_data": blob_in(root.struct(9)) or root.array(2, "<f4"),
-            "data_format": root.text(3),
-            "data_dim": root.number(3),
-            "level_sizes": root.array(4, "<i4"),
-            "origin": root.array(5, "<f8"),
-            "voxel_size": root.array(6, "<f8"),
-            "extra_data": root.array(7, "<f4"),
-        }
-    )
+    return octree_from_table(CapnpMessage(view).root, _INDEX)

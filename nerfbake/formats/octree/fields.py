@@ -14,14 +14,14 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
-from nerfbake.formats.wire.blob import Blob
+from nerfbake.formats.wire.blob import Blob, Record, array_fields, blob_in
 from nerfbake.kernels.maths.elementary import cast
 from nerfbake.kernels.soundness import all_finite
 from nerfbake.scene.basis import SH_SIZES, guess_data_format, parse_basis
@@ -53,6 +53,59 @@ def small_fields(octree: SparseVoxelOctree, voxel_type: VoxelType = "number") ->
     if octree.extra_data is not None:
         fields["extra_data"] = octree.extra_data.ravel().tolist()
     return fields
+
+
+# The fields of FlatBuffers and Cap'n Proto in the schemas' order, with how they are read: text, an int32, or a list of
+# this dtype. The large arrays are lists in the report profile; in bulk they are blobs, which are tables.
+TABLE = {
+    "type_url": "text", "width": "number", "height": "number", "depth": "number",
+    "node_children": "<i4", "node_data": "<f4",
+    "data_format": "text", "data_dim": "number", "level_sizes": "<i4",
+    "origin": "<f8", "voxel_size": "<f8", "extra_data": "<f4",
+    "node_children_blob": "table", "node_data_blob": "table",
+}  # fmt: skip
+
+
+class FieldTable(Record, Protocol):
+    """A struct or table that also has numbers and nested tables."""
+
+    def number(self, index: int, /) -> int: ...
+
+    def table(self, index: int, /) -> Record | None: ...
+
+
+def table_of(octree: SparseVoxelOctree, *, no_child: NoChild, profile: Profile, voxel_type: VoxelType) -> list[Any]:
+    """Return the fields in the order of TABLE; None: absent."""
+    small = small_fields(octree, voxel_type)
+    children, data = children_with(octree.node_children, no_child), octree.node_data
+    report = profile == "report"
+    return [
+        small["type_url"],
+        *octree.size,
+        children if report else None,
+        data.astype(np.float32, copy=False) if report else None,
+        octree.data_format or None,
+        octree.data_dim,
+        np.array(octree.level_sizes, np.int32),
+        octree.origin,
+        octree.voxel_size,
+        octree.extra_data,
+        None if report else array_fields(children),
+        None if report else array_fields(data),
+    ]
+
+
+def octree_from_table(table: FieldTable, index: Mapping[str, int]) -> SparseVoxelOctree:
+    """Read an octree of either profile; its arrays are views of the file. index: of each field of TABLE."""
+
+    def read(name: str, kind: str) -> Any:
+        blob = blob_in(table.table(index[f"{name}_blob"])) if name in _LARGE else None
+        if blob is not None:
+            return blob
+        at = index[name]
+        return table.text(at) if kind == "text" else table.number(at) if kind == "number" else table.array(at, kind)
+
+    return octree_from_fields({name: read(name, kind) for name, kind in TABLE.items() if kind != "table"})
 
 
 def require_finite(octree: SparseVoxelOctree, form: str, *, node_data: bool) -> None:

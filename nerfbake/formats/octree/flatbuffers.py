@@ -33,15 +33,15 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.octree.fields import (
     MAX_2GIB,
     SMALL_SIZE,
+    TABLE,
     NoChild,
     Profile,
     VoxelType,
-    children_with,
-    octree_from_fields,
+    octree_from_table,
     require_size,
-    small_fields,
+    table_of,
 )
-from nerfbake.formats.wire.blob import array_fields, blob_in, blob_of
+from nerfbake.formats.wire.blob import blob_of
 from nerfbake.scene.octree import SparseVoxelOctree
 
 # A field of a table to write; None if it is absent.
@@ -183,6 +183,7 @@ def _require_inside(view: memoryview, at: int, size: int) -> None:
 
 
 IDENTIFIER = b"SVO1"
+_INDEX = {name: k for k, name in enumerate(TABLE)}
 
 
 def recognise(view: memoryview) -> bool:
@@ -201,42 +202,10 @@ def encode(
     widened = 4 if profile == "report" else octree.node_data.itemsize
     size = octree.node_children.nbytes + octree.node_data.size * widened + SMALL_SIZE
     require_size("svo.fb", size, MAX_2GIB, "FlatBuffers' limit")
-    small = small_fields(octree, voxel_type)
-    children, data = children_with(octree.node_children, no_child), octree.node_data
-    report = profile == "report"
-    fields: list[Field] = [
-        small["type_url"],
-        *octree.size,
-        children if report else None,
-        data.astype(np.float32, copy=False) if report else None,
-        octree.data_format or None,
-        octree.data_dim,
-        np.array(octree.level_sizes, np.int32),
-        octree.origin,
-        octree.voxel_size,
-        octree.extra_data,
-        None if report else array_fields(children),
-        None if report else array_fields(data),
-    ]
+    fields = table_of(octree, no_child=no_child, profile=profile, voxel_type=voxel_type)
     yield from write_table(fields, IDENTIFIER)
 
 
 def decode(view: memoryview) -> SparseVoxelOctree:
     """Read an octree of either profile; its arrays are views of the file."""
-    root = FlatbuffersTable.root(view)
-    return octree_from_fields(
-        {
-            "type_url": root.text(0),
-            "width": root.number(1),
-            "height": root.number(2),
-            "depth": root.number(3),
-            "node_children": blob_in(root.table(12)) or root.array(4, "<i4"),
-            "node_data": blob_in(root.table(13)) or root.array(5, "<f4"),
-            "data_format": root.text(6),
-            "data_dim": root.number(7),
-            "level_sizes": root.array(8, "<i4"),
-            "origin": root.array(9, "<f8"),
-            "voxel_size": root.array(10, "<f8"),
-            "extra_data": root.array(11, "<f4"),
-        }
-    )
+    return octree_from_table(FlatbuffersTable.root(view), _INDEX)

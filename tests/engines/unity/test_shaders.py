@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from nerfbake import Camera, Image, build_field, build_octree, orbit_cameras, render_field, sample_n3tree
-from tests.conftest import REPOSITORY
+from nerfbake.jobs.shaders import shader_text
 from tests.support.csharp import PACKAGE
 from tests.support.shaders import Runner, runner_of
 from tests.support.unity_shaders import SHADERS, STUBS, Matrix, View, drawn, passes
@@ -30,8 +30,7 @@ EDGE = 64
 # -- what the folder holds -------------------------------------------------------------------------------------
 @pytest.mark.parametrize("path", INCLUDED, ids=lambda path: path.name)
 def test_an_include_is_the_twin_to_the_byte(path: Path) -> None:
-    twin = REPOSITORY / "nerfbake" / "shaders" / "hlsl" / path.name
-    assert path.read_bytes() == twin.read_bytes(), "the README of engines/unity says how to copy it anew"
+    assert path.read_text() == shader_text(f"hlsl/{path.name}"), "the README of engines/unity says how to copy it anew"
 
 
 @pytest.mark.parametrize(("name", "code", "stage", "entry"), STAGES, ids=[name for name, *_ in STAGES])
