@@ -45,7 +45,7 @@ def once(*works: Callable[[], Any], rounds: int) -> list[list[Any]]:
 
 
 def surfaces(*args: Any, **options: Any) -> Report:
-    """A report like that of compare_surfaces(), whose seven pages test_surfaces.py draws and times."""
+    """A report like that of compare_surfaces(), whose seven pages test_view_surfaces.py draws and times."""
     rows = [[way, *[Statistics.of([2.0])] * (len(SURFACE_COLUMNS) - 1)] for way in (*view.MLPS, *METHODS, "none")]
     return Report("Pages: small", {}, [Table("Frames", SURFACE_COLUMNS, rows)], [])
 

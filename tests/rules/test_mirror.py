@@ -14,6 +14,16 @@ from tests.support.source import PACKAGE, modules, parsed, public_names
 TESTS = REPOSITORY / "tests"
 # Folders that mirror no package: frozen and hostile files of every format, end-to-end runs, rules, and helpers.
 ABOUT_ALL = {"conformance", "end_to_end", "fuzz", "rules", "support"}
+# Test files about several modules, commands, formats or shaders, or about what is no module. Add none without a reason.
+ABOUT_SEVERAL = {
+    ".": {"citations", "contributing", "readme", "wheel"},
+    "cli": {"folders", "help", "hostile_names", "jobs", "json_schemas", "pipes"},
+    "formats/mesh": {"blender", "khronos"},
+    "formats/octree": {"formats"},
+    "formats/wire": {"damaged_streams"},
+    "jobs": {"examples", "scenery"},
+    "shaders": {"conformance", "scripts", "three", "together"},
+}
 LAYERS = ("kernels", "scene", "stages", "formats")
 
 MODULES = {".".join(path.relative_to(REPOSITORY).with_suffix("").parts): path for path in modules()}
@@ -55,6 +65,22 @@ def test_every_folder_of_tests_mirrors_a_folder_and_every_package_has_one() -> N
     assert [folder for folder in mirrors if not any((home / folder).is_dir() for home in (PACKAGE, REPOSITORY))] == []
     packages = {path.parent.relative_to(PACKAGE) for path in MODULES.values()} - {Path()}
     assert packages - mirrors == set()
+
+
+def test_a_test_file_is_named_after_a_module_and_what_it_tests_of_it() -> None:
+    """test_camera.py and test_camera_lens.py are about camera.py or _camera.py in the folder that theirs mirrors."""
+    wrong = []
+    for path in TESTS.rglob("test_*.py"):
+        folder = path.parent.relative_to(TESTS)
+        if folder.parts[:1] and folder.parts[0] in {*ABOUT_ALL, "engines", "examples"}:
+            continue
+        homes = [home / folder for home in (PACKAGE, REPOSITORY) if (home / folder).is_dir()]
+        deep = folder.parts == ("shaders",)  # a folder for each language
+        named = {each.stem.lstrip("_") for home in homes for each in (home.rglob("*") if deep else home.iterdir())}
+        words = path.stem.removeprefix("test_").split("_")
+        if not named.intersection("_".join(words[:count]) for count in range(1, len(words) + 1)):
+            wrong.append((folder.as_posix(), "_".join(words)))
+    assert sorted(wrong) == sorted((folder, name) for folder, names in ABOUT_SEVERAL.items() for name in names)
 
 
 def test_a_module_is_imported_by_a_test_or_by_a_module_that_a_test_imports() -> None:
