@@ -41,9 +41,9 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
     Gaussian splats become .ply, .spz or .glb, and the largest and median loss are printed. With --in-up, they are
     rotated so that this axis of their world, in which `info` describes them, points up in the new file.
 
-    A volume becomes an octree, too. The octree is complete if `nerfbake vdb` wrote the volume with the grids `index` or
-    `density,sh`. From any other fog volume the octree gets the density only. With --grid all, each grid of a volume
-    becomes a file: smoke.density.nvdb, ...
+    A volume, or another scene as in `nerfbake svo`, becomes an octree, too. That of a volume is complete if `nerfbake
+    vdb` wrote the volume with the grids `index` or `density,sh`. From any other fog volume the octree gets the density
+    only. With --grid all, each grid of a volume becomes a file: smoke.density.nvdb, ...
 
     Cameras of any tool that `info` describes become nerfstudio's transforms.json, with --to colmap a folder with the
     text of a COLMAP model, and with --to 3dgs cameras.json of 3D Gaussian Splatting.

@@ -16,8 +16,6 @@ from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.soundness import plural
-from nerfbake.scene.lattice_field import LatticeField
-from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.origin import lost_origin, no_origin
 from nerfbake.scene.splats import UPS, Splats, Up
@@ -44,12 +42,12 @@ def convert_file(
 ) -> SparseVoxelOctree | Volume | Splats:
     """Write an octree, a volume or splats in another format and return what was written. This is `nerfbake convert`.
 
-    Reads `source` and writes `target`, whose format selects what is written. For an octree's format, PlenOctrees and
-    lattices become octrees as in bake_octree(). Splats are converted by convert_splats().
+    Reads `source` and writes `target`, whose format selects what is written. For an octree's format, PlenOctrees,
+    lattices and splats become octrees as in bake_octree(). For a format of splats, convert_splats() is called.
 
     layout    of an octree: child slots for every node (full), or none on the last level (compact)
     no_child  child index that means 'no child' in an octree's file: 0 or -1
-    choice    the grids of a volume, and its up axis
+    choice    the grids of a volume, and its up axis; of splats their up axis
     codec     of a volume's format: none or zip
     half      store a volume's values as float16
     splats    how splats are read and written
@@ -75,7 +73,7 @@ def convert_file(
             raise UsageError("a volume has no child slots; allowed: no `layout` and no `no_child`")
         return _write_volume(steps, source, target, choice, codec, half=half)
     target.require("SparseVoxelOctree", no_child=no_child, codec=codec)
-    reading = Reading(steps, source, N3Tree, SparseVoxelOctree, Volume, LatticeField, choice=choice)
+    reading = Reading(steps, source, choice=choice)
     if isinstance(reading.scene, Volume):
         _require_axes(reading.scene, choice)
         if half:

@@ -6,6 +6,7 @@ splats, the grids of a volume, and the loss of becoming voxels. Jobs do their ow
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from nerfbake.errors import InvalidScene, Problem, UsageError
@@ -19,7 +20,7 @@ from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import MAX_SIZE, Layout, SparseVoxelOctree
-from nerfbake.scene.splats import Splats
+from nerfbake.scene.splats import UPS, Splats, Up
 from nerfbake.scene.volume import Volume
 
 if TYPE_CHECKING:
@@ -57,6 +58,16 @@ def upright_without(cameras: str | None) -> ReadingOptions:
     return ReadingOptions(in_up="stated") if cameras is None else ReadingOptions()
 
 
+def _with_axis(choice: GridChoice, options: ReadingOptions) -> tuple[GridChoice, ReadingOptions]:
+    """Return a choice without an axis, which a volume would have, and options for splats with this axis."""
+    if choice.in_up is None:
+        return choice, options
+    axes: dict[str, Up] = {axis: axis for axis in UPS}
+    if choice.in_up not in axes:
+        raise UsageError(f"`in_up` is {choice.in_up!r}; allowed: {', '.join(UPS)}")
+    return replace(choice, in_up=None), replace(options, in_up=axes[choice.in_up])
+
+
 class Reading:
     """What was read from a source.
 
@@ -81,11 +92,13 @@ class Reading:
     ) -> None:
         """Read a scene of one of these types; by default of one that becomes an octree. Raises NerfbakeError.
 
-        choice   the grids of a volume, and its up axis
+        choice   the grids of a volume, and its up axis; of splats the axis alone
         options  how it becomes an octree
         """
-        self._steps, self._source, self._choice, self._options = steps, source, choice, options
         read = source.read_with_format(steps, *(kinds or FIELDS))
+        if isinstance(read.scene, Splats):
+            choice, options = _with_axis(choice, options)
+        self._steps, self._source, self._choice, self._options = steps, source, choice, options
         self.data = read.data
         self.scene = self.shown = choice.of(steps, source, read.scene)
         self._held_out: HeldOut | None = None

@@ -32,6 +32,7 @@ from tests.jobs.listener import Listener
 from tests.support.brick_fields import some_shelled_field
 from tests.support.compression import with_fewer_rays
 from tests.support.lattices import SHAPE, svox2, svox2_file
+from tests.support.scenes import assert_same_octree
 from tests.support.splats import ball_of_splats
 
 FAST = {
@@ -94,9 +95,7 @@ def fast(scenes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("fast")
-@pytest.mark.parametrize(
-    ("scene", "command"), [pair for pair in product(SCENES, COMMANDS) if pair != ("ball.ply", "convert")]
-)
+@pytest.mark.parametrize(("scene", "command"), list(product(SCENES, COMMANDS)))
 def test_every_command_takes_every_scene(scene: str, command: str, tmp_path: Path, listener: Listener) -> None:
     job, ending, made = COMMANDS[command]
     out = str(tmp_path / f"out{ending}")
@@ -113,6 +112,17 @@ def test_every_command_takes_every_scene(scene: str, command: str, tmp_path: Pat
     if scene == "smoke.vdb":
         by_density = "the octree gets the density only, without Cd"
         assert any(by_density in line for line in said) == (command in ("svo", "convert", "vdb", "lattice"))
+
+
+@pytest.mark.usefixtures("fast")
+def test_splats_are_converted_to_the_octree_of_svo_with_their_axis(tmp_path: Path) -> None:
+    made = jobs.convert_file("ball.ply", tmp_path / "a.svo.npz", choice=jobs.GridChoice(in_up="y"))
+    same = jobs.bake_octree("ball.ply", tmp_path / "b.svo.npz", options=jobs.ReadingOptions(in_up="y"))
+    assert_same_octree(made, same)
+    kept = jobs.convert_file("ball.ply", tmp_path / "c.svo.npz")
+    assert (kept.node_data[-8:] != same.node_data[-8:]).any()
+    with pytest.raises(UsageError, match="`in_up` is 'w'; allowed: x, -x, y, -y, z, -z"):
+        jobs.convert_file("ball.ply", tmp_path / "d.svo.npz", choice=jobs.GridChoice(in_up="w"))
 
 
 @pytest.mark.usefixtures("fast")
