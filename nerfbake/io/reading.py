@@ -246,13 +246,13 @@ def unread_cameras(source: str | Path, read: str) -> list[tuple[str, str]]:
         files = Folder(path, {})
         known = [(name, form, lacks(form, files)) for form, name in dialects_in(files)]
         others = [(name, unread_file(name)) for name in files.names("")]
-    because = f"{read} is" if read else "their poses are searched"
+    because = f"{read} is read instead" if read else "their poses are found instead"
     found = [
-        (f"{name} of {form.title}", f"it has poses without {missing}" if missing else because)
+        (f"{name} of {form.title}", f"its poses need {missing} beside it" if missing else because)
         for name, form, missing in known
         if not read or not _covers(read, name)
     ]
-    return found + [(f"{name} of {tool[0]}", f"allowed: {tool[1]}") for name, tool in others if tool]
+    return found + [(f"{name} of {tool[0]}", f"nerfbake reads {tool[1]}") for name, tool in others if tool]
 
 
 def _covers(read: str, name: str) -> bool:

@@ -224,7 +224,7 @@ def _read(steps: Steps, path: str, photographs: PhotographOptions) -> Views:
 def _say_unread(steps: Steps, path: str, read: str) -> None:
     """Print which files of cameras in a folder are not read. read: the file that is read."""
     for file, reason in io.unread_cameras(path, read):
-        steps.say(f"{path}: {file} is not read ({reason})")
+        steps.say(f"{path}: {file} is not read: {reason}")
 
 
 def _say_extreme_alpha(steps: Steps, path: str, views: Views) -> None:

@@ -123,7 +123,7 @@ def require_poses(steps: Steps, source: Source) -> None:
         if not any(is_picture(file) for file in _files(folder)) and not _unread(folder):
             raise
         for file, reason in io.unread_cameras(folder, ""):
-            steps.say(f"{source.name}: warning: {file} is not read ({reason})")
+            steps.say(f"{source.name}: warning: {file} is not read: {reason}")
         steps.say(f"{source.name}: has photographs without cameras, so their poses are found first")
         find_poses(source, steps=steps)
 

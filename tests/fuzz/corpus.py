@@ -29,6 +29,7 @@ from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.schedule import parse_schedule
 from tests.support import captures, environments, nerfs
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
+from tests.support.camera_tools import TOOLS, kept_by, write_meshroom, write_metashape, write_metashape_project
 from tests.support.lattices import svox2, svox2_file
 from tests.support.merf import merf, merf_folder
 from tests.support.meshes import ODD_OBJ, cube, odd_plys, polygon_ply, sparse_glb, square
@@ -70,8 +71,9 @@ STATE = "state"  # of a batch that has run
 
 
 def names() -> list[str]:
-    """The readable formats, the kinds of folders, the checkpoint of a fit, and the lines and the state of a batch."""
-    forms = [form.name for form in catalog.FORMATS if form.readable] + [kind.name for kind in catalog.FOLDERS]
+    """The readable formats, the kinds of folders, the cameras of other tools, and what a fit and a batch keep."""
+    forms = [form.name for form in catalog.FORMATS if form.readable]
+    forms += [kind.name for kind in (*catalog.FOLDERS, *catalog.DIALECTS)]
     return [*dict.fromkeys(forms), CHECKPOINT, LINES, STATE]
 
 
@@ -119,7 +121,7 @@ def beside(name: str) -> Files:
 
 
 def is_folder(name: str) -> bool:
-    return name in [STATE, *(form.name for form in catalog.FOLDERS)]
+    return name in [STATE, *(form.name for form in (*catalog.FOLDERS, *catalog.DIALECTS))]
 
 
 def sound(name: str) -> tuple[bytes, ...] | tuple[Files, ...]:
@@ -339,6 +341,10 @@ def _files_below(write: Callable[[Path], Path]) -> Files:
 
 def _captures(name: str) -> Iterator[Files]:
     """The cameras of a rig in the formats of other programs."""
+    if name in TOOLS:
+        for write in (TOOLS[name][0], *_MORE_TOOLS.get(name, ())):
+            yield _files_below(partial(_written_tool, write, kept_by(name, captures.rig(odd=True))))
+        return
     writers = {
         "transforms": (captures.write_nerf_synthetic, captures.write_instant_ngp, captures.write_nerfstudio),
         "colmap": (captures.write_colmap_binary, captures.write_colmap_text),
@@ -349,6 +355,19 @@ def _captures(name: str) -> Iterator[Files]:
         for write in writers[name]:
             if not odd or write is not captures.write_nerf_synthetic:
                 yield _files_below(partial(_written_capture, write, odd))
+
+
+# Other spellings of a dialect.
+_MORE_TOOLS: dict[str, tuple[Callable[..., str], ...]] = {
+    "metashape": (write_metashape_project, partial(write_metashape, calibration="<b2>0.5</b2><k4>1e-3</k4>")),
+    "meshroom": (partial(write_meshroom, version=(1, 0, 0)), partial(write_meshroom, version=(1, 2, 1))),
+}
+
+
+def _written_tool(write: Callable[..., str], made: captures.Rig, place: Path) -> Path:
+    captures.write_pictures(place / "images", made)
+    write(place, made)
+    return place
 
 
 def _written_capture(write: Callable[..., Path], odd: bool, place: Path) -> Path:
