@@ -32,7 +32,7 @@ def axis_angle(turn: Floats) -> list[float]:
     w, x, y, z = quaternion(turn)
     angle = 2 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
     axis = np.array([x, y, z]) / (math.sin(angle / 2) or 1)
-    return (axis * angle).tolist()
+    return [float(value) for value in axis * angle]
 
 
 def placed(folder: Path, path: str, content: str | bytes) -> str:
@@ -287,7 +287,7 @@ def write_openmvg(folder: Path, made: Rig) -> str:
         data |= {"id_view": i, "id_intrinsic": i % 2, "id_pose": i}
         views.append({"key": i, "value": {"polymorphic_id": 1 << 30, "ptr_wrapper": {"id": 7 + i, "data": data}}})
         poses.append({"key": i, "value": {"rotation": turn.tolist(), "center": pose[:3, 3].tolist()}})
-    inside = {"width": made.width, "height": made.height, "focal_length": made.fx}
+    inside: dict[str, Any] = {"width": made.width, "height": made.height, "focal_length": made.fx}
     inside |= {"principal_point": [made.cx - 0.5, made.cy - 0.5]}
     first = {"polymorphic_id": (1 << 31) + 1, "polymorphic_name": "pinhole_radial_k3"}
     classes = [first | {"ptr_wrapper": {"data": {**inside, "disto_k3": [0, 0, 0]}}}]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from codecs import BOM_UTF8
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -53,12 +54,20 @@ class Posed(NamedTuple):
 def cameras_of(
     posed: Sequence[Posed], *, dialect: str, source: str, notes: Sequence[str] = (), points: SparsePoints | None = None
 ) -> Cameras:
-    """Return the cameras of these pictures, in their order. dialect: the tool; source: its file."""
+    """Return the cameras of these pictures, in their order. dialect: the tool; source: its file.
+
+    Pictures of several cards may have equal names in different folders, and a label says nothing of the folder. Such
+    cameras have no picture, so that none gets the wrong one.
+    """
     room_for(len(posed))
-    cameras = [
-        Camera(*each.size, each.focal, each.pose, name, each.centre, unbent(each.lens), each.picture)
-        for each, name in zip(posed, names_of(each.label for each in posed), strict=True)
-    ]
+    times = Counter(each.picture for each in posed)
+    cameras = []
+    for each, name in zip(posed, names_of(each.label for each in posed), strict=True):
+        picture = each.picture if times[each.picture] == 1 else ""
+        cameras.append(Camera(*each.size, each.focal, each.pose, name, each.centre, unbent(each.lens), picture))
+    twice = next((picture for picture, count in times.items() if picture and count > 1), "")
+    if twice:
+        notes = (*notes, f"warning: {times[twice]} cameras name the picture {twice}, so it belongs to none of them")
     return Cameras(tuple(cameras), dialect, source, tuple(notes), points=points)
 
 

@@ -58,6 +58,15 @@ def test_cameras_of_metashape_that_are_not_aligned_are_counted(made: Rig, tmp_pa
     assert any(note.startswith("1 camera of a rig left out") for note in read.notes)
 
 
+def test_equal_labels_of_two_cards_get_no_picture(made: Rig, tmp_path: Path) -> None:
+    pose = tools.numbers(tools.camera_to_world(made.poses[0]))
+    more = f'<camera id="9" sensor_id="0" label="r_1"><transform>{pose}</transform></camera>'
+    write_pictures(tmp_path / "images", made)
+    read = load(tmp_path / tools.write_metashape(tmp_path, made, cameras=more), Cameras)
+    assert [camera.picture for camera in read.cameras] == ["images/r_0.png", "", "images/r_2.png", ""]
+    assert "warning: 2 cameras name the picture images/r_1.png, so it belongs to none of them" in read.notes
+
+
 def test_other_sensors_of_metashape_are_refused(made: Rig, tmp_path: Path) -> None:
     file = tmp_path / tools.write_metashape(tmp_path, made)
     file.write_text(file.read_text().replace('label="rig" type="frame"', 'label="rig" type="spherical"'))

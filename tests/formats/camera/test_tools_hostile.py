@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import Cameras, load, memory_limit
+from nerfbake import Cameras, catalog, load, memory_limit
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError
 from nerfbake.formats.wire.xml import MAX_DEPTH, parse_xml
 from tests.support import camera_tools as tools
@@ -187,6 +187,18 @@ def test_lines_without_an_end_are_refused(made: Rig, tmp_path: Path) -> None:
         path = capture(tool, tmp_path / tool, made)
         path.write_text(path.read_text() + "1 " * 100_000)
         assert "allowed: up to 8,192" in refused(path)
+
+
+TEXTS = ("nan " * 8 + "\n", "inf " * 12 + "\n", "1e308 " * 8 + "\n", "1e308 " * 12 + "\n", "1 1 1\n" + "1e200 " * 4)
+
+
+@pytest.mark.parametrize("form", catalog.DIALECTS, ids=lambda form: form.name)
+def test_nobody_recognises_noise(form: catalog.Dialect) -> None:
+    noise = np.random.default_rng(0)
+    recognise = form.load_module().recognise
+    for ending in form.endings:
+        for data in (*(noise.bytes(size) for size in (0, 1, 7, 64, 5000)), *(text.encode() for text in TEXTS)):
+            assert not recognise(f"a{ending}", data)
 
 
 # -- the rest --------------------------------------------------------------------------------------------------
