@@ -10,11 +10,13 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.march import lens
-from nerfbake.kernels.maths.elementary import sine_cosine
+from nerfbake.kernels.maths.elementary import sine_cosine, tangent
 
-LensModel = Literal["polynomial", "rational", "fisheye"]
+LensModel = Literal["polynomial", "rational", "fisheye", "fov", "division", "eucm"]
 MOST = 1e6  # largest coefficient
-_COUNT = {"polynomial": 4, "rational": 6, "fisheye": 4}
+_COUNT = {"polynomial": 4, "rational": 6, "fisheye": 4, "fov": 1, "division": 1, "eucm": 2}
+_TANGENTIAL = ("polynomial", "rational")  # models with p1 and p2
+_CLOSED = ("fov", "division", "eucm")  # models whose inverse is a formula
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,10 @@ class Lens:
     rational    (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), and p1, p2: COLMAP's FULL_OPENCV
     fisheye     the angle theta from the axis appears at theta (1 + k1 theta^2 + ... + k4 theta^8): OpenCV's fisheye
                 module
+    fov         k1 = omega: a point at the radius r appears at arctan(2 r tan(omega / 2)) / omega: COLMAP's FOV
+    division    r' of the picture is r' / (1 + k1 r'^2) on the plane: COLMAP's DIVISION
+    eucm        k1 = alpha, k2 = beta: the ray through (x, y) of the picture is (x, y, (1 - beta alpha^2 r^2) /
+                (alpha sqrt(1 - (2 alpha - 1) beta r^2) + 1 - alpha)): COLMAP's EUCM
 
     skew is added to the distorted x for each unit of the distorted y: the sensor's axes are not at right angles. It is
     the entry (0, 1) of the matrix of intrinsics divided by fx.
@@ -47,8 +53,8 @@ class Lens:
                     raise InvalidScene(Problem(f"{name}{i}", f"is {value:g}", f"-{MOST:g} to {MOST:g}"))
         if not abs(self.skew) <= 1:
             raise InvalidScene(Problem("the skew", f"is {self.skew:g}", "-1 to 1 times the focal length"))
-        if self.model == "fisheye" and any(self.p):
-            raise InvalidScene(Problem("p1, p2", "are set for a fisheye lens", "0"))
+        if self.model not in _TANGENTIAL and any(self.p):
+            raise InvalidScene(Problem("p1, p2", f"are set for a {self.model} lens", "0"))
 
     @property
     def bends(self) -> bool:
@@ -63,6 +69,8 @@ class Lens:
         most = np.pi if self.model == "fisheye" else np.inf
         if self.skew:
             points = np.stack([points[:, 0] - self.skew * points[:, 1], points[:, 1]], axis=1)
+        if self.model in _CLOSED:
+            return self._formula(points)
         plane, fine = lens.undistort(points, *self._coefficients, self.p, most=most)
         plane[~fine] = 0
         r = np.sqrt((plane * plane).sum(axis=1))
@@ -74,6 +82,30 @@ class Lens:
             ahead = 1 / np.sqrt(1 + r * r)
             looks[:, :2] = plane * ahead[:, None]
             looks[:, 2] = ahead
+        return looks, fine
+
+    def _formula(self, points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        """looks() for a lens of _CLOSED."""
+        a, b = (*self.k, 0.0, 0.0)[:2]
+        square = (points * points).sum(axis=1)
+        looks = np.column_stack([points, np.ones(len(points))])
+        with np.errstate(all="ignore"):  # points that no ray reaches are not fine
+            if self.model == "fov":
+                angle = a * np.sqrt(square)
+                fine = np.abs(angle) < np.pi / 2
+                grown = tangent(np.where(fine, angle, 0)) / (2 * np.sqrt(square) * tangent(a / 2))
+                looks[:, :2] *= np.where((square > 0) & (a != 0), grown, 1)[:, None]
+            elif self.model == "division":
+                looks[:, 2] = 1 + a * square
+                fine = looks[:, 2] > 0
+            else:
+                under = 1 - (2 * a - 1) * b * square
+                below = a * np.sqrt(np.maximum(under, 0)) + 1 - a
+                looks[:, 2] = (1 - b * a * a * square) / below
+                fine = (under >= 0) & (below > 0)
+            looks /= np.sqrt((looks * looks).sum(axis=1))[:, None]
+        fine &= np.isfinite(looks).all(axis=1)
+        looks[~fine] = 0, 0, 1
         return looks, fine
 
     @property

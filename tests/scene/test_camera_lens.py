@@ -179,3 +179,35 @@ def test_a_fisheye_sees_behind_itself() -> None:
 def test_lenses_that_there_are_not(model: str, k: Parameters, p: tuple[float, float]) -> None:
     with pytest.raises(InvalidScene, match="allowed"):
         Lens(model, k, p)  # type: ignore[arg-type]
+
+
+CLOSED = {"FOV": (0.8,), "SIMPLE_DIVISION": (-0.1,), "DIVISION": (-0.1,), "EUCM": (0.6, 1.1)}
+
+
+@pytest.mark.parametrize("model", CLOSED)
+def test_lenses_with_a_formula_are_those_of_pycolmap(model: str, tmp_path: Path) -> None:
+    """pycolmap's own cam_from_img() and img_from_cam() of the same parameters."""
+    pycolmap = pytest.importorskip("pycolmap")
+    made = rig(odd=True)
+    focal = (made.fx,) if model == "SIMPLE_DIVISION" else (made.fx, made.fy)
+    parameters = (*focal, made.cx, made.cy, *CLOSED[model])
+    theirs = pycolmap.Camera(model=model, width=made.width, height=made.height, params=list(parameters))
+    (camera, *_) = load(write_colmap_text(tmp_path, made, model, parameters), Cameras).cameras
+    assert camera.lens is not None
+    places = np.array([[x + 0.5, y + 0.5] for y in range(made.height) for x in range(made.width)])
+    plane = (places - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    looks, fine = camera.lens.looks(plane)
+    assert fine.all()
+    assert np.abs(looks[:, :2] / looks[:, 2:] - theirs.cam_from_img(places)).max() < 1e-12
+    assert np.abs(theirs.img_from_cam(looks) - places).max() < 1e-9
+
+
+def test_pixels_that_a_formula_does_not_reach_are_not_fine() -> None:
+    """FOV ends at omega r = 90 degrees, a division at 1 + k r^2 = 0, EUCM where its root ends."""
+    points = np.array([[0.0, 0.0], [1.9, 0.0], [2.1, 0.0]])
+    for lens in (Lens("fov", (np.pi / 4,)), Lens("division", (-0.25,)), Lens("eucm", (1.0, 0.25))):
+        looks, fine = lens.looks(points)
+        assert fine.tolist() == [True, True, False]
+        assert np.abs((looks * looks).sum(axis=1) - 1).max() < 1e-15
+        assert looks[0].tolist() == [0, 0, 1]
+    assert Lens("fov").looks(points)[0][1, 0] == pytest.approx(1.9 / np.sqrt(1 + 1.9**2))

@@ -275,6 +275,10 @@ LAYOUTS = {
     "RADIAL_FISHEYE": _Layout(1, "fisheye", (3, 4)),
     "SIMPLE_FISHEYE": _Layout(1, "fisheye"),
     "FISHEYE": _Layout(2, "fisheye"),
+    "FOV": _Layout(2, "fov", (4,)),
+    "SIMPLE_DIVISION": _Layout(1, "division", (3,)),
+    "DIVISION": _Layout(2, "division", (4,)),
+    "EUCM": _Layout(2, "eucm", (4, 5)),
 }
 
 

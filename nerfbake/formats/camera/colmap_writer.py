@@ -15,6 +15,7 @@ from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.lens import Lens
 
 _PICTURES = "images/"
+_CLOSED = {"fov": ("FOV", 1), "division": ("DIVISION", 1), "eucm": ("EUCM", 2)}  # the model, and its coefficients
 _MOST_K = 3  # of a polynomial: no model of COLMAP has r^8
 
 
@@ -48,6 +49,9 @@ def _intrinsics(camera: Camera) -> _Intrinsics:
     k = (*lens.k, *[0.0] * (6 - len(lens.k)))
     if lens.model == "fisheye":
         return _Intrinsics("OPENCV_FISHEYE", camera.width, camera.height, (*pinhole, *k[:4]))
+    if lens.model in _CLOSED:
+        name, count = _CLOSED[lens.model]
+        return _Intrinsics(name, camera.width, camera.height, (*pinhole, *k[:count]))
     if lens.model == "polynomial" and len(lens.k) > _MOST_K:
         found = f"has a lens with k4 = {lens.k[3]:g}"
         raise InvalidScene(Problem(f"camera {camera.name}", found, "k1 to k3: COLMAP has no model with r^8"))

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.contract import HEAD
-from nerfbake.errors import InvalidFile, Problem
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.camera.capture import (
     DEFAULT_EDGE,
     MAX_FRAMES,
@@ -93,6 +93,8 @@ def lens_fields(lens: Lens | None) -> dict[str, Any]:
     """Return the fields that lens_of() reads. instant-ngp reads is_fisheye, k1, ...; nerfstudio also camera_model."""
     if lens is None:
         return {}
+    if lens.model not in _WRITTEN:
+        raise InvalidScene(Problem("the lens", f"is {lens.model}, which nerfstudio does not have", ", ".join(_WRITTEN)))
     k = dict(zip(_K, (*lens.k, *[0.0] * (4 - len(lens.k))), strict=False))
     return {
         "camera_model": _WRITTEN[lens.model],

@@ -20,7 +20,7 @@ SHOT = "1 1 0 0 0 0 0 0 1 a.png\n\n"
 
 COLMAP_TEXT = {
     "an unknown model": (MODEL.replace("PINHOLE", "CUBE"), SHOT, "line 1 has model CUBE; allowed: SIMPLE_PINHOLE"),
-    "a model nobody reads": ("1 FOV 4 3 5 5 2 1.5 0.1\n", SHOT, "camera 1 has the model FOV; allowed: SIMPLE_PINHOLE"),
+    "a model nobody reads": ("1 EQUIRECTANGULAR 4 3 4 3\n", SHOT, "has the model EQUIRECTANGULAR"),
     "thin prisms": ("1 THIN_PRISM_FISHEYE 4 3 5 5 2 1 0 0 0 0 0 0 0 0\n", SHOT, "has the model THIN_PRISM_FISHEYE"),
     "too few parameters": ("1 PINHOLE 4 3 5\n", SHOT, "line 1 has 1 parameters; allowed: 4 for PINHOLE"),
     "a short line": ("1 PINHOLE\n", SHOT, "line 1 has 2 entries; allowed: 5 or more"),
