@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 import zstandard
 
-from nerfbake import Splats, load, save
+from nerfbake import Cameras, Splats, load, save
 from nerfbake.cli.convert import convert
 from nerfbake.cli.main import run
 from nerfbake.cli.paths import declared
 from nerfbake.scene.octree import SparseVoxelOctree
 from tests.conftest import Shell
+from tests.support.camera_tools import write_metashape
+from tests.support.captures import rig
 from tests.support.octrees import FORMATS, small_octree
 from tests.support.scenes import assert_same_octree, n3tree
 from tests.support.splats import splats
@@ -174,3 +176,26 @@ def test_splats_are_converted_and_the_loss_is_printed(shell: Shell, tmp_path: Pa
     assert json.loads(shell("info", "-", "--json", stdin=stream).stdout)["splats"] == 9
     wrong = shell("convert", "a.ply", "c.spz", "--axes", "UPS")
     assert (wrong.returncode, b"'UPS' are no axes of splats; allowed: LDB, RDB, " in wrong.stderr) == (2, True)
+
+
+def test_cameras_become_those_of_other_programs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_metashape(tmp_path, rig(odd=True), calibration="<k1>0.01</k1>")
+    assert run(["convert", "cameras.xml", "transforms.json"]) == 0
+    assert run(["convert", "cameras.xml", "model/sparse/0", "--to", "colmap"]) == 0
+    assert run(["convert", "cameras.xml", "cameras.json", "--to", "3dgs"]) == 0
+    assert "the lenses of 3 cameras are left out" in capsys.readouterr().err
+    for name in ("transforms.json", "model", "cameras.json"):
+        assert len(load(name, Cameras).cameras) == 3
+    assert run(["convert", "cameras.xml", "-", "--to", "json"]) == 0
+    assert capsys.readouterr().out == (tmp_path / "transforms.json").read_text()
+    for options, code, said in (
+        (["transforms.json"], 4, "transforms.json exists already"),
+        (["a.json", "--half"], 2, "--half has no effect on cameras; allowed: --to and --force"),
+        (["a.svo.npz"], 1, "holds cameras"),
+        (["-", "--to", "colmap"], 2, "stdout cannot be written as colmap"),
+    ):
+        assert run(["convert", "cameras.xml", *options]) == code
+        assert said in capsys.readouterr().err.replace("transforms.json: exists", "transforms.json exists")
