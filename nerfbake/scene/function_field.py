@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points, Singles
+from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.maths.affine import compose, rotate, transform_points
 from nerfbake.kernels.maths.elementary import sigmoid
 from nerfbake.scene.base import Scene, edge_problems, place_problems, require_shape
 from nerfbake.scene.camera import Cameras
+from nerfbake.scene.network import HashGrid, Network
 
 CHUNK = 1 << 15  # points at a time, which limits the memory for their features
+_GRID, _COARSE_GRID = 128, 64  # cells along an edge of `filled`: for hash grids, and for larger perceptrons
+_CLEAR = 1e-4  # optical thickness of a cell that counts as empty
 MAX_CASCADES = 8
 
 
@@ -124,9 +130,46 @@ class FunctionField(Scene):
     @property
     def world_box(self) -> Points:
         """(2, 3) the smallest box in the world around `box`."""
-        corners = np.array([[self.box[i >> a & 1, a] for a in range(3)] for i in range(8)])
-        turned = rotate(corners - self.frame[:, 3], self.frame[:, :3].T / self.scale**2)
-        return np.stack([turned.min(axis=0), turned.max(axis=0)])
+        corners = self._in_world(np.array([[self.box[i >> a & 1, a] for a in range(3)] for i in range(8)]))
+        return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+    def _in_world(self, own: Points) -> Points:
+        """Return trained coordinates (m, 3) in the world."""
+        return rotate(own - self.frame[:, 3], self.frame[:, :3].T / self.scale**2)
+
+    @property
+    def space(self) -> Points:
+        """(2, 3) what `filled` covers: the box, or all of contracted space, a cube from -2 to 2."""
+        return np.array([[-2.0] * 3, [2.0] * 3]) if self.contracted else self.box
+
+    @cached_property
+    def filled(self) -> Bits:
+        """(G, G, G) bool: the cells [x][y][z] of `space` that may have a density that can be seen.
+
+        The density is evaluated once, at the centres of cells; a cell is also filled if a neighbour has a density.
+        """
+        hashed = isinstance(self.network, Network) and isinstance(self.network.encoding, HashGrid)
+        G = _GRID if hashed else _COARSE_GRID
+        memory.grown(self, "the filled cells", G**3)
+        found, (low, high) = np.zeros((G, G, G), bool), self.space
+        planes = max(1, CHUNK // G**2)
+        for begin in progress.each(range(0, G, planes)):
+            cells = np.argwhere(np.ones((min(planes, G - begin), G, G), bool)) + np.array([begin, 0, 0])
+            places = low + (cells + 0.5) * ((high - low) / G)
+            longer = np.ones(len(cells))
+            if self.contracted:
+                far = np.maximum(np.abs(places).max(axis=1), 1)
+                longer = 1 / (2 - far)  # the largest coordinate before the contraction
+                places *= (longer / far)[:, None]
+            length = float((high - low).max()) / G / self.scale * longer**2
+            found[begin : begin + planes] = (self.density(self._in_world(places))[0] * length > _CLEAR).reshape(
+                -1, G, G
+            )
+        found = dilated(found)
+        if self.contracted:  # the outermost cells reach to infinity
+            for axis in range(3):
+                np.moveaxis(found, axis, 0)[[0, -1]] = True
+        return found
 
     def in_trained_world(self) -> FunctionField:
         """Return the field, and its cameras, in the coordinates that it was trained in."""

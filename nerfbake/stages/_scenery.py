@@ -8,7 +8,7 @@ from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points
 from nerfbake.kernels.maths.affine import rotate
-from nerfbake.scene.camera import Camera
+from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid, lattice_frame
 
@@ -27,7 +27,7 @@ def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> 
     the end of the outermost shell, where one view sees it. box: the inner cube; None: around the point that the cameras
     look at. Raises InvalidScene, MemoryLimit.
     """
-    box = _inner_cube(views) if box is None else box
+    box = inner_cube_of(views.cameras) if box is None else box
     solid = _visible(views, box, resolution)
     if not solid.any():
         raise InvalidScene(Problem("views", "see no part of the box together", "cameras that look at the same place"))
@@ -107,12 +107,12 @@ def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:
     return np.asarray(inside)
 
 
-def _inner_cube(views: Views) -> Points:
+def inner_cube_of(cameras: Cameras) -> Points:
     """Return a cube (2, 3) around the point that the cameras look at, as wide as they are away from it."""
-    eyes = views.cameras.eyes
+    eyes = cameras.eyes
     spread = float(np.sqrt(np.square(eyes - eyes.mean(axis=0)).sum(axis=1).max()))
-    ahead = (eyes + spread * views.cameras.axes).mean(axis=0)  # where cameras with parallel axes look at
-    centre = views.cameras.looked_at(towards=ahead, pull=1e-2 * len(eyes))
+    ahead = (eyes + spread * cameras.axes).mean(axis=0)  # where cameras with parallel axes look at
+    centre = cameras.looked_at(towards=ahead, pull=1e-2 * len(eyes))
     half = _median_distance(eyes, centre) / 2
     if not half > 0:
         raise InvalidScene(Problem("the cameras", "are all at the same place", "two places or more, or `box`"))
