@@ -19,6 +19,7 @@ from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import exp, expm1, log, sine_cosine
 from nerfbake.kernels.network.hash_grid import Levels, grid_features
 from nerfbake.kernels.network.mlp import PackedLayers, pack_layers, run_mlp
+from nerfbake.kernels.network.planes import PackedPlanes, plane_features
 from nerfbake.scene.base import number_problems, require_shape
 from nerfbake.scene.basis import SH_SIZES
 from nerfbake.scene.lattice_field import Activation
@@ -169,6 +170,11 @@ class HashGrid:
     def features(self) -> int:
         return int(len(self.scale) * self.table.shape[1])
 
+    @property
+    def numbers(self) -> int:
+        """The number of trained numbers."""
+        return int(self.table.size)
+
     def __call__(self, points: Points | Singles) -> Singles:
         """(L F, m) float32 features of points (m, 3) in the unit cube; float32 as in the programs."""
         levels = Levels(self.table, self.first, self.scale, self.shift, self.dense)
@@ -178,7 +184,56 @@ class HashGrid:
         return number_problems("the hash grid", self.table, most=MAX_WEIGHT)
 
 
-Encoding = Frequencies | HashGrid
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """Products of three planes over the unit cube, on several scales. Source: K-Planes (Fridovich-Keil et al., 2023).
+
+    values  (n,) float32: for each scale its planes across x and y (Y, X, C), x and z (Z, X, C), y and z (Z, Y, C)
+    nodes   (S, 3) int64: X, Y, Z of each scale; the outermost nodes are on the faces of the cube
+    channels  C, the features of one scale
+    concatenated  the features of the scales follow each other; False: they are added
+    """
+
+    values: Singles
+    nodes: Ints
+    channels: int
+    concatenated: bool = True
+
+    def __post_init__(self) -> None:
+        S = len(self.nodes)
+        require_shape("the nodes of the planes", self.nodes, (S, 3), np.int64)
+        if not 1 <= S <= MAX_LEVELS or not 1 <= self.channels <= MAX_UNITS:
+            found = f"have {S} scales of {self.channels} features"
+            raise InvalidScene(Problem("the planes", found, f"1 to {MAX_LEVELS} scales, {MAX_UNITS} features at most"))
+        if not ((self.nodes >= 1) & (self.nodes < 1 << 20)).all():
+            raise InvalidScene(Problem("the planes", f"have {self.nodes.tolist()} nodes", "1 or more along each axis"))
+        count = self.channels * sum(X * Y + X * Z + Y * Z for X, Y, Z in self.nodes.tolist())
+        require_shape("the planes", self.values, (count,), np.float32)
+
+    def __str__(self) -> str:
+        return (
+            f"planes of {', '.join('x'.join(map(str, each)) for each in self.nodes.tolist())} nodes x {self.channels}"
+        )
+
+    @property
+    def features(self) -> int:
+        return self.channels * (len(self.nodes) if self.concatenated else 1)
+
+    @property
+    def numbers(self) -> int:
+        """The number of trained numbers."""
+        return int(self.values.size)
+
+    def __call__(self, points: Points | Singles) -> Singles:
+        """(features, m) float32 of points (m, 3) in the unit cube; float32 as in the program."""
+        packed = PackedPlanes(self.values, self.nodes, self.channels)
+        return plane_features(packed, np.asarray(points, np.float32), concatenated=self.concatenated)
+
+    def problems(self) -> list[Problem]:
+        return number_problems("the planes", self.values, most=MAX_WEIGHT)
+
+
+Encoding = Frequencies | HashGrid | Planes
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,8 +356,8 @@ class Network:
     @property
     def numbers(self) -> int:
         """The number of trained numbers."""
-        table = self.encoding.table.size if isinstance(self.encoding, HashGrid) else 0
-        return int(table) + self.trunk.numbers + len(self.density) + self.colour.mlp.numbers
+        own = 0 if isinstance(self.encoding, Frequencies) else self.encoding.numbers
+        return own + self.trunk.numbers + len(self.density) + self.colour.mlp.numbers
 
     def features(self, points: Singles) -> Singles:
         """(G, m) features of points (m, 3) in the encoding's coordinates."""

@@ -85,7 +85,7 @@ def is_instant_ngp(model: TorchModel) -> bool:
 
 def field_of_nerfacto(model: TorchModel, run: Run) -> FunctionField:
     """Return the field of a model. Raises InvalidFile, MemoryLimit."""
-    appearance = _appearance(model)
+    appearance = mean_appearance(model, _APPEARANCE)
     if not run.flag("use_average_appearance_embedding", True):
         appearance = np.zeros_like(appearance)
     parts = _parts(model, run, len(appearance))
@@ -96,7 +96,7 @@ def field_of_nerfacto(model: TorchModel, run: Run) -> FunctionField:
 
 def field_of_instant_ngp(model: TorchModel, run: Run) -> FunctionField:
     """Return the field of a model, with its occupancy grid. Raises InvalidFile, MemoryLimit."""
-    appearance = _appearance(model)
+    appearance = mean_appearance(model, _APPEARANCE)
     network = _network(_parts(model, run, len(appearance)), np.zeros_like(appearance), 1.0)
     found = _field(model, run, network, "nerfstudio's instant-ngp", "random")
     least = run.number("alpha_thre", 0.01, absent=0.0, low=0.0, high=1.0)
@@ -145,15 +145,15 @@ def _network(parts: _Parts, appearance: Singles, density: float) -> Network:
     return Network(parts.grid, parts.trunk, weights, 0.0, Activation("exponential", 0.0, density), colour)
 
 
-def _appearance(model: TorchModel) -> Singles:
-    """(A,) the mean of the pictures' appearances; empty without any."""
-    stored = model.state.get(_APPEARANCE)
+def mean_appearance(model: TorchModel, key: str) -> Singles:
+    """(A,) the mean of the pictures' appearances; empty without any. Raises InvalidFile, MemoryLimit."""
+    stored = model.state.get(key)
     if stored is None or (isinstance(stored, Tensor) and 0 in stored.size):
         return np.zeros(0, np.float32)
-    table = model.single(_APPEARANCE)
+    table = model.single(key)
     if table.ndim != 2:
-        raise InvalidFile(Problem(_APPEARANCE, f"has shape {table.shape}", "(pictures, numbers)"))
-    memory.require(_APPEARANCE, 8 * table.size)
+        raise InvalidFile(Problem(key, f"has shape {table.shape}", "(pictures, numbers)"))
+    memory.require(key, 8 * table.size)
     return np.asarray(table.astype(np.float64).mean(axis=0), np.float32)
 
 

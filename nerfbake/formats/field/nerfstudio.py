@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats.field.kplanes import KPLANES, field_of_kplanes
 from nerfbake.formats.field.nerfacto import field_of_instant_ngp, field_of_nerfacto, is_instant_ngp, is_nerfacto
 from nerfbake.formats.field.run_files import Run, RunFolder, read_run
 from nerfbake.formats.field.torch_model import TorchModel
@@ -17,7 +18,7 @@ from nerfbake.formats.field.vanilla_nerf import VANILLA, field_of_vanilla_nerf, 
 from nerfbake.formats.wire.torch import mentions
 from nerfbake.scene.function_field import FunctionField
 
-_KNOWN = "nerfacto, instant-ngp, vanilla-nerf"
+_KNOWN = "nerfacto, instant-ngp, vanilla-nerf, K-Planes"
 
 
 def recognise(view: memoryview) -> bool:
@@ -37,6 +38,8 @@ def field_of(view: memoryview, run: Run) -> FunctionField:
         return field_of_instant_ngp(model, run)
     if is_nerfacto(model):
         return field_of_nerfacto(model, run)
+    if KPLANES in model.state:
+        return field_of_kplanes(model, run)
     if VANILLA in model.state:
         return _vanilla_nerf(model, run)
     refuse_relatives(model)
