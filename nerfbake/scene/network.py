@@ -185,7 +185,7 @@ class HashGrid:
 
 
 @dataclass(frozen=True, eq=False)
-class Planes:
+class PlaneProducts:
     """Products of three planes over the unit cube, on several scales. Source: K-Planes (Fridovich-Keil et al., 2023).
 
     values  (n,) float32: for each scale its planes across x and y (Y, X, C), x and z (Z, X, C), y and z (Z, Y, C)
@@ -233,7 +233,7 @@ class Planes:
         return number_problems("the planes", self.values, most=MAX_WEIGHT)
 
 
-Encoding = Frequencies | HashGrid | Planes
+Encoding = Frequencies | HashGrid | PlaneProducts
 
 
 @dataclass(frozen=True, eq=False)

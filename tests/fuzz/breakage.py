@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
@@ -31,6 +32,8 @@ _BREAKERS: dict[str, Breaker] = {
     "pth": break_torch,
     "ckpt": break_torch,
     "msgpack": break_msgpack,
+    "ingp": lambda random, data, other: _broken_ingp(random, data, other),
+    "yml": break_obj,
     "svo.pb": break_protobuf,
     "json": break_json,
     "jsonl": break_json_lines,
@@ -115,6 +118,14 @@ def _broken_spz(random: Random, data: bytes, other: bytes) -> bytes:
         return break_bytes(random, data, other)
     inner = gzip.decompress(data)
     return _gzipped(break_bytes(random, inner, gzip.decompress(other) if other[:2] == _GZIP else other))
+
+
+def _broken_ingp(random: Random, data: bytes, other: bytes) -> bytes:
+    """Break the map in gzip or zlib, whose checksums would otherwise find every change."""
+    if random.random() < 0.1:
+        return break_bytes(random, data, other)
+    inner = gzip.decompress(data) if data[:2] == _GZIP else zlib.decompress(data)
+    return _gzipped(break_msgpack(random, inner))
 
 
 def _wrapped(random: Random, data: bytes, suffix: str) -> tuple[bytes, str]:

@@ -6,6 +6,7 @@ import gzip
 import json
 import struct
 import tempfile
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache, partial
@@ -30,14 +31,17 @@ from nerfbake.scene.schedule import parse_schedule
 from tests.support import captures, environments, nerfs
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.camera_tools import TOOLS, kept_by, write_meshroom, write_metashape, write_metashape_project
+from tests.support.kplanes import kplanes, kplanes_file
 from tests.support.lattices import svox2, svox2_file
 from tests.support.merf import merf, merf_folder
 from tests.support.meshes import ODD_OBJ, cube, odd_plys, polygon_ply, sparse_glb, square
 from tests.support.n3trees import archive, held_out, quantised, svox
+from tests.support.nerfstudio import nerfacto, nerfstudio_file, ngp, run_files
 from tests.support.octrees import SPELLINGS, small_octree, written
 from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
 from tests.support.scenes import n3tree
+from tests.support.snapshots import seen_by, snapshot, snapshot_file
 from tests.support.snerg import snerg, snerg_folder
 from tests.support.splats import (
     gzip_spz,
@@ -55,6 +59,7 @@ from tests.support.splats import (
 from tests.support.svraster import svraster_file, voxels
 from tests.support.tensorf import tensorf, tensorf_file
 from tests.support.torch_files import dvgo, dvgo_file
+from tests.support.torch_ngp import torch_ngp, torch_ngp_file
 from tests.support.views import sample_views
 
 Files = dict[str, bytes]
@@ -84,7 +89,7 @@ def files_of(name: str) -> tuple[bytes, ...]:
         return tuple(_checkpoints())
     if name == LINES:
         return (_JOBS.encode(), _JOBS.replace("\n", "\r\n").encode())
-    scenes = [form.scene for form in catalog.FORMATS if form.name == name and form.readable]
+    scenes = dict.fromkeys(form.scene for form in catalog.FORMATS if form.name == name and form.readable)
     makers: dict[str, Any] = {
         "SparseVoxelOctree": lambda: _compressed() if name == "svoq" else _octrees(name),
         "Volume": lambda: _volumes(name),
@@ -109,6 +114,7 @@ def folders_of(name: str) -> tuple[Files, ...]:
         "plenvdb": _plenvdbs,
         "merf": _merfs,
         "snerg": _snergs,
+        "nerfstudio": _runs,
         "sog_folder": _sogs,
         STATE: _states,
     }
@@ -227,9 +233,18 @@ def _functions(name: str) -> Iterator[bytes]:
         yield nerfs.nerf_pytorch_file(None, nerfs.nerf_pytorch(directions=False))
     elif name == "ckpt":
         yield nerfs.vanilla_nerf_file(nerfs.vanilla_nerf())
+        yield from (nerfstudio_file(nerfacto(layout)) for layout in ("torch", "tcnn", "tcnn 0.3"))
+        yield nerfstudio_file(ngp())
+        yield from (kplanes_file(kplanes(concatenated=apart, appearance=2)) for apart in (True, False))
     elif name == "pth":
         yield nerfs.kilonerf_file(nerfs.kilonerf())
+        yield from (torch_ngp_file(torch_ngp(1.0, occupied=cells)) for cells in (None, [0, 77]))
+    elif name == "ingp":
+        yield gzip.compress(snapshot_file(snapshot(grid=[])), 1, mtime=0)
+        yield gzip.compress(snapshot_file(snapshot(1)), 1, mtime=0)
+        yield zlib.compress(snapshot_file(snapshot(grid=[], dataset=seen_by(2))), 1)
     elif name == "msgpack":
+        yield snapshot_file(snapshot(grid=[], dataset=seen_by(2), half=False))
         yield from (nerfs.jaxnerf_file(nerfs.jaxnerf(colour=colour)) for colour in ("directions", "SH4", "SG"))
 
 
@@ -398,6 +413,13 @@ def _snergs() -> Iterator[Files]:
 def _merfs() -> Iterator[Files]:
     yield merf_folder(merf())
     yield merf_folder(merf(planes=False))
+
+
+def _runs() -> Iterator[Files]:
+    """Runs of nerfstudio, one with the transforms.json of its capture."""
+    capture = _encoded("json", next(iter(_pictures("Cameras"))))
+    yield run_files(nerfacto("tcnn"), average_init_density=0.5)
+    yield run_files(ngp()) | {"transforms.json": capture.replace(b"{", b'{"applied_scale": 2.0,', 1)}
 
 
 def _theses() -> Iterator[Files]:

@@ -7,6 +7,7 @@ from typing import Any
 import msgpack
 import numpy as np
 
+from nerfbake.scene.camera import look_at
 from tests.support.nerfstudio import polynomials, random, tcnn_grid, tcnn_levels, tcnn_mlp, tcnn_shapes
 
 LEVELS, FEATURES, LOG2, BASE, WIDTH, HEAD = 3, 4, 8, 5, 16, 32
@@ -73,6 +74,20 @@ def snapshot(
             "version": 1,
             **more,
         },
+    }
+
+
+def seen_by(count: int) -> dict[str, Any]:
+    """The part of a data set with cameras around its centre."""
+    poses = [to_ngp(look_at(np.zeros(3), 2.0 * i, 0.5, 3.0)).tolist() for i in range(count)]
+    lens = {"is_fisheye": False, "k1": 0.1, "k2": 0.0, "p1": 0.01, "p2": 0.0}
+    facts = {"focal_length": [50.0, 60.0], "principal_point": [0.5, 0.25], "resolution": [40, 20], "lens": lens}
+    xforms = [{"start": pose, "end": pose} for pose in poses]
+    return {
+        "n_images": count,
+        "xforms": xforms,
+        "metadata": [facts] * count,
+        "paths": [f"a/{i}.jpg" for i in range(count)],
     }
 
 

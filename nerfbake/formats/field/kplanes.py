@@ -22,7 +22,7 @@ from nerfbake.formats.field.torch_model import TorchModel
 from nerfbake.kernels.arrays import Singles
 from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.lattice_field import Activation
-from nerfbake.scene.network import MAX_LEVELS, HeadColour, Mlp, Network, Planes
+from nerfbake.scene.network import MAX_LEVELS, HeadColour, Mlp, Network, PlaneProducts
 
 _PLANES = "field.grids.{}.plane_coefs.{}"
 KPLANES = _PLANES.format(0, 0)  # in the state of this model only
@@ -79,11 +79,11 @@ def _head(model: TorchModel, appearance: Singles) -> Mlp:
     first = head.weights[0]
     own = np.zeros((len(first), _OUTPUTS + _CODE), np.float32)
     own[:, :features], own[:, _OUTPUTS:] = first[:, _CODE : _CODE + features], first[:, :_CODE]
-    seen = (first[:, _CODE + features :].astype(np.float64) * appearance).sum(axis=1)
-    return Mlp((own, *head.weights[1:]), ((head.biases[0] + seen).astype(np.float32), *head.biases[1:]))
+    bias = tcnn.bias_with(head.biases[0], first[:, _CODE + features :], appearance)
+    return Mlp((own, *head.weights[1:]), (bias, *head.biases[1:]))
 
 
-def _planes(model: TorchModel, *, concatenated: bool) -> Planes:
+def _planes(model: TorchModel, *, concatenated: bool) -> PlaneProducts:
     """Read the planes of all scales, with the channels last."""
     found, nodes = [], []
     for s in range(MAX_LEVELS):
@@ -107,4 +107,4 @@ def _planes(model: TorchModel, *, concatenated: bool) -> Planes:
         for plane in scale:
             values[at : at + plane.size] = plane.transpose(1, 2, 0).reshape(-1)
             at += plane.size
-    return Planes(values, np.array(nodes, np.int64), found[0][0].shape[0], concatenated)
+    return PlaneProducts(values, np.array(nodes, np.int64), found[0][0].shape[0], concatenated)

@@ -137,8 +137,7 @@ def _network(parts: _Parts, appearance: Singles, density: float) -> Network:
     own = np.zeros((len(first), OUTPUTS + CODE), np.float32)
     own[:, 1:OUTPUTS] = first[:, CODE : CODE + features]
     own[:, OUTPUTS:] = first[:, :CODE]
-    seen = (first[:, CODE + features :].astype(np.float64) * appearance).sum(axis=1)
-    bias = (head.biases[0] + seen).astype(np.float32)
+    bias = tcnn.bias_with(head.biases[0], first[:, CODE + features :], appearance)
     colour = HeadColour(Mlp((own, *head.weights[1:]), (bias, *head.biases[1:])), parts.code)
     weights = np.zeros(OUTPUTS, np.float32)
     weights[0] = 1
@@ -154,7 +153,8 @@ def mean_appearance(model: TorchModel, key: str) -> Singles:
     if table.ndim != 2:
         raise InvalidFile(Problem(key, f"has shape {table.shape}", "(pictures, numbers)"))
     memory.require(key, 8 * table.size)
-    return np.asarray(table.astype(np.float64).mean(axis=0), np.float32)
+    with np.errstate(invalid="ignore", over="ignore"):  # problems() reports numbers that are not finite
+        return np.asarray(table.astype(np.float64).mean(axis=0), np.float32)
 
 
 def _parts(model: TorchModel, run: Run, appearance: int) -> _Parts:

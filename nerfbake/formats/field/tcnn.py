@@ -77,11 +77,18 @@ def mlp_of(params: Singles, sizes: Perceptron, name: str) -> Mlp:
     for rows, columns in sizes.shapes:
         weights.append(params[at : at + rows * columns].reshape(rows, columns))
         at += rows * columns
-    bias = weights[0][:, sizes.inputs :].astype(np.float64).sum(axis=1) * sizes.ones
-    biases = [bias.astype(np.float32), *(np.zeros(len(each), np.float32) for each in weights[1:])]
+    constant = np.full(sizes.shapes[0][1] - sizes.inputs, sizes.ones, np.float32)
+    bias = bias_with(np.zeros(len(weights[0]), np.float32), weights[0][:, sizes.inputs :], constant)
+    biases = [bias, *(np.zeros(len(each), np.float32) for each in weights[1:])]
     weights[0] = weights[0][:, : sizes.inputs]
     weights[-1], biases[-1] = weights[-1][: sizes.outputs], biases[-1][: sizes.outputs]
     return Mlp(tuple(map(np.ascontiguousarray, weights)), tuple(biases))
+
+
+def bias_with(bias: Singles, columns: Singles, inputs: Singles) -> Singles:
+    """(out,) the bias of a layer without its columns (out, k) of inputs (k,) that never change."""
+    with np.errstate(invalid="ignore", over="ignore"):  # problems() reports numbers that are not finite
+        return np.asarray(bias + (columns.astype(np.float64) * inputs).sum(axis=1), np.float32)
 
 
 class Grid(NamedTuple):
