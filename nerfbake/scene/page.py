@@ -179,7 +179,7 @@ class PageSurface(CompactRepr):
     def __str__(self) -> str:
         triangles = sum(len(mesh.faces) for mesh in self.meshes)
         ways = [str(atlas) for atlas in self.atlases[:1]]
-        ways += [f"MLP 6-{field.w0.shape[1]}-3" for field in self.fields[:1]]
+        ways += [field.mlp_text for field in self.fields[:1]]
         return ", ".join([plural(triangles, "triangle"), *ways])
 
     @property

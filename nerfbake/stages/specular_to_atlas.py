@@ -27,7 +27,6 @@ from nerfbake.stages.specular_to_clusters import (
 )
 
 _OUTPUTS = 1 << 22  # outputs of the MLP at a time: 16 MB
-_CELL_BITS = 5  # a fit combines the colours of each cell of 5-bit colour
 _NODE_WEIGHT = 1e-4  # regularisation of a grid's node towards the MLP's outputs there, if colours do not determine it
 
 
@@ -126,18 +125,18 @@ def _moments(field: SpecularField, features: Floats, weight: Floats, design: Flo
     directions, step = octahedron.texel_directions(map_size), max(1, _OUTPUTS // right.shape[1])
     for start in range(0, len(features), step):
         part = slice(start, start + step)
-        outputs = mlp.evaluate(features[part], directions, field.w0, field.w1)
+        outputs = mlp.evaluate(features[part], directions, *field.mlp)
         right += product(weighted[part].T, outputs.reshape(-1, right.shape[1]))
     return _Moments(product(weighted.T, design), right)
 
 
 def _group(identifiers: Identifiers, labels: npt.NDArray[np.integer[Any]]) -> list[tuple[Floats, Floats]]:
-    """Return for each label the features (g, 3) and weights (g,) of its colours, averaged over small cells of colours.
+    """Return for each label the features (g, F) and weights (g,) of its colours, averaged over small cells of colours.
 
     The MLP is almost linear within a cell: 30,000 cells replace 1.4 million colours.
     """
-    cell_bits = 3 * _CELL_BITS
-    keys = labels.astype(np.int64) << cell_bits | identifiers.codes >> np.uint32(24 - cell_bits)
+    cell_bits = identifiers.channels * identifiers.cell_bits
+    keys = labels.astype(np.int64) << cell_bits | identifiers.cells_of(identifiers.cell_bits).astype(np.int64)
     order = np.argsort(keys, kind="stable")
     keys, counts = keys[order], identifiers.counts[order]
     start = runs(keys)[:-1]
@@ -149,12 +148,12 @@ def _group(identifiers: Identifiers, labels: npt.NDArray[np.integer[Any]]) -> li
 
 
 def _outputs(field: SpecularField, features: Floats, map_size: int) -> Floats:
-    """Return the MLP's outputs (m, 3 R^2) for features (m, 3) in every texel's direction."""
+    """Return the MLP's outputs (m, 3 R^2) for features (m, F) in every texel's direction."""
     directions, out = octahedron.texel_directions(map_size), np.empty((len(features), 3 * map_size**2))
     step = max(1, _OUTPUTS // out.shape[1])
     for start in range(0, len(features), step):
         part = slice(start, start + step)
-        out[part] = mlp.evaluate(features[part], directions, field.w0, field.w1).reshape(-1, out.shape[1])
+        out[part] = mlp.evaluate(features[part], directions, *field.mlp).reshape(-1, out.shape[1])
     return out
 
 
@@ -218,6 +217,8 @@ def bake_atlas(
     ):
         if not low <= value <= high:
             raise InvalidScene(Problem(name, f"is {value}", f"{low} to {high}"))
+    if method != "kmeans" and field.channels != 3:
+        raise InvalidScene(Problem("method", f"is {method}", f"kmeans for {field.channels} features; others need 3"))
     if method == "affine" and clusters > MAX_TILES // 4:
         raise InvalidScene(Problem("clusters", f"is {clusters:,}", f"1 to {MAX_TILES // 4:,}, of 4 maps each"))
     count = {"kmeans": clusters, "affine": 4 * clusters, "grid": nodes**3}[method]
@@ -249,9 +250,13 @@ def bake_atlas(
 
 def label_texels(field: SpecularField, identifiers: Identifiers, clusters: Clusters) -> npt.NDArray[np.uint16]:
     """Return the cluster (H, W) of each texel's colour, or 0 for colours of unused texels only."""
+    codes = codes_of(field.features)
+    if field.channels > 3:  # too many codes for a table
+        place = np.minimum(np.searchsorted(identifiers.codes, codes), len(identifiers.codes) - 1)
+        return np.where(identifiers.codes[place] == codes, clusters.labels[place], 0).astype(np.uint16)
     table = np.zeros(CODES, np.uint16)
     table[identifiers.codes] = clusters.labels
-    return table[codes_of(field.features)]
+    return table[codes]
 
 
 class _Encoded(NamedTuple):

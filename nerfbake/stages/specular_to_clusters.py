@@ -5,7 +5,7 @@ An identifier is a point that describes the MLP's outputs for a feature colour i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.cluster import lloyd, planes
-from nerfbake.kernels.cluster.colours import codes_of, colours_of, runs
+from nerfbake.kernels.cluster.colours import Codes, codes_of, colours_of, runs
 from nerfbake.kernels.maths.linear import principal_axes, product
 from nerfbake.kernels.surface import mlp
 from nerfbake.scene.stage1 import SpecularField
@@ -24,7 +24,9 @@ COARSE_ROUNDS = 30  # rounds of Lloyd's iteration on the means of small cells of
 # clusters (0.1 % at 256).
 STARTS, FEW = 4, 128
 ROUNDS = 12  # rounds on the colours themselves; 20 reduce the inertia by another 0.3 %
-_CELL_BITS = 5  # bits per channel of the colour cells that prune the assignment
+# Bits per channel of the colour cells that prune the assignment. 3 bits of 8 channels make as many cells, about 30,000,
+# of a real texture as 5 bits of 3 channels.
+_CELL_BITS, _CELL_BITS_OF_MANY = 5, 3
 _GROUPS_PER_CLUSTER = 8
 PLANE_ROUNDS = 6
 FLATNESS = 1 / 255**2  # regularisation of slopes that the members do not determine: one step of a byte
@@ -69,7 +71,7 @@ def cluster_identifiers(identifiers: Identifiers, *, clusters: int = 64, seed: i
     if not 1 <= clusters <= min(len(points), MAX_CLUSTERS):
         allowed = f"1 to {min(len(points), MAX_CLUSTERS):,}; the texture has {len(points):,} colours"
         raise InvalidScene(Problem("clusters", f"is {clusters:,}", allowed))
-    cells = lloyd.bound_cells(points, _cells(identifiers.codes, _CELL_BITS))
+    cells = lloyd.bound_cells(points, _cells(identifiers, identifiers.cell_bits))
     centres = _coarse_centres(identifiers, clusters, np.random.default_rng(seed))
     for _ in progress.each(range(ROUNDS)):
         centres = lloyd.move(points, weight, lloyd.nearest_centres(points, cells, centres)[0], centres)
@@ -97,7 +99,7 @@ def cluster_planes(identifiers: Identifiers, *, clusters: int = 64, seed: int = 
     """
     found = cluster_identifiers(identifiers, clusters=clusters, seed=seed)
     points, features = identifiers.points, identifiers.features.astype(np.float32)
-    cells = lloyd.bound_cells(points, _cells(identifiers.codes, _CELL_BITS))
+    cells = lloyd.bound_cells(points, _cells(identifiers, identifiers.cell_bits))
     candidates = planes.nearest_clusters(cells, points[found.members], _CANDIDATES)
     labels = found.labels
     for _ in range(PLANE_ROUNDS):
@@ -112,12 +114,13 @@ def _coarse_centres(identifiers: Identifiers, clusters: int, random: np.random.G
 
     The cells are the largest whose number is at least several times that of the clusters.
     """
-    for bits in range(_CELL_BITS, 9):
-        start = _cells(identifiers.codes, bits)
+    for bits in range(identifiers.cell_bits, 9):
+        start = _cells(identifiers, bits)
         if len(start) > _GROUPS_PER_CLUSTER * clusters or bits == 8:
             break
     groups = lloyd.group(identifiers.points, identifiers.counts, start)
-    cells = lloyd.bound_cells(groups.mean, _cells(identifiers.codes[start[:-1]], bits - 1))
+    firsts = replace(identifiers, codes=identifiers.codes[start[:-1]])
+    cells = lloyd.bound_cells(groups.mean, _cells(firsts, bits - 1))
 
     def end_of_a_start() -> npt.NDArray[np.float32]:
         centres = lloyd.seed(groups.mean, groups.weight, clusters, random)
@@ -135,9 +138,9 @@ def _coarse_centres(identifiers: Identifiers, clusters: int, random: np.random.G
     return min((end_of_a_start() for _ in range(STARTS)), key=inertia)
 
 
-def _cells(codes: npt.NDArray[np.uint32], bits: int) -> npt.NDArray[np.int64]:
+def _cells(identifiers: Identifiers, bits: int) -> npt.NDArray[np.int64]:
     """Return the start of each cell of colours with this number of bits per channel, and the end of the last."""
-    return runs(codes >> np.uint32(3 * (8 - bits)))
+    return runs(identifiers.cells_of(bits))
 
 
 DIMENSIONS = 32  # dimensions of a point; the other principal components have less than 0.1 % of the inertia
@@ -147,6 +150,7 @@ _SAMPLE = 20_000  # number of colours from which the principal components are co
 
 
 _COLOUR_BYTES = 300  # per colour while it is identified, clustered and baked into maps (160 to 288 measured)
+_CHANNEL_BYTES = 16  # and per channel beyond three
 
 
 _OUTPUT_BYTES = 20  # per output of the sample (20 measured)
@@ -154,22 +158,33 @@ _OUTPUT_BYTES = 20  # per output of the sample (20 measured)
 
 @dataclass(frozen=True, eq=False)
 class Identifiers:
-    """u distinct colours of the used texels, in the order of their codes.
+    """u distinct colours of the used texels, in the order of their codes; a colour has F channels, the features.
 
-    codes   (u,) uint32, see kernels.cluster.colours
+    codes   (u,) uint32 or uint64, see kernels.cluster.colours
     counts  (u,) float64: number of texels of each colour
     points  (u, p) float32: principal components of the MLP's outputs (0..255) in all directions; distances between
             points are distances between outputs, over all channels and directions
+    channels  F
     """
 
-    codes: npt.NDArray[np.uint32]
+    codes: Codes
     counts: npt.NDArray[np.float64]
     points: npt.NDArray[np.float32]
+    channels: int = 3
 
     @property
     def features(self) -> npt.NDArray[np.float64]:
-        """The colours (u, 3) in 0..1."""
-        return colours_of(self.codes) / 255
+        """The colours (u, F) in 0..1."""
+        return colours_of(self.codes, self.channels) / 255
+
+    @property
+    def cell_bits(self) -> int:
+        """The bits of a channel that number cells of colours."""
+        return _CELL_BITS if self.channels <= 3 else _CELL_BITS_OF_MANY
+
+    def cells_of(self, bits: int) -> Codes:
+        """The number (u,) of each colour's cell, for cells of this number of bits per channel."""
+        return self.codes >> self.codes.dtype.type(self.channels * (8 - bits))
 
 
 def identify_colours(
@@ -192,11 +207,12 @@ def identify_colours(
     """
     # Sorting is faster than counting in a table of all 2^24 colours: 0.25 s against 0.69 s for 4 million texels.
     codes, counts = np.unique(codes_of(field.features[field.used]), return_counts=True)
-    memory.require(f"{len(codes):,} colours", len(codes) * _COLOUR_BYTES)
-    features = colours_of(codes) / 255
+    per_colour = _COLOUR_BYTES + _CHANNEL_BYTES * max(field.channels - 3, 0)
+    memory.require(f"{len(codes):,} colours", len(codes) * per_colour)
+    features = colours_of(codes, field.channels) / 255
     basis, shift = _principal_components(field, features, counts, directions, direction_weights)
-    points = mlp.project(features, mlp.split_layers(directions, field.w0, field.w1), basis, shift)
-    return Identifiers(codes, counts.astype(np.float64), points)
+    points = mlp.project(features, mlp.split_layers(directions, *field.mlp), basis, shift)
+    return Identifiers(codes, counts.astype(np.float64), points, field.channels)
 
 
 def _principal_components(
@@ -216,7 +232,7 @@ def _principal_components(
         scale *= np.sqrt(direction_weights)
     sampled = len(range(len(features))[taken])
     memory.require(f"{sampled:,} colours in {len(directions):,} directions", sampled * scale.size * _OUTPUT_BYTES)
-    outputs = mlp.evaluate(features[taken], directions, field.w0, field.w1).reshape(-1, scale.size) * scale.reshape(-1)
+    outputs = mlp.evaluate(features[taken], directions, *field.mlp).reshape(-1, scale.size) * scale.reshape(-1)
     weight = counts[taken] / counts[taken].sum()
     mean = product(weight[None], outputs)
     axes = principal_axes((outputs - mean) * np.sqrt(weight)[:, None], min(DIMENSIONS, scale.size))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, Unpack
+from typing import Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.cluster.colours import codes_of, colours_of
+from nerfbake.kernels.cluster.colours import Codes, codes_of, colours_of
 from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.kernels.maths.linear import product
 from nerfbake.kernels.surface import mlp
@@ -103,9 +103,14 @@ def measure_atlas_error(
     shown_channels = 3 * len(atlas.tiles) * len(directions)
     memory.require("the texture's texels", int(field.used.sum()) * _TEXEL_BYTES)
     memory.require(f"{len(atlas.tiles):,} maps in {len(directions):,} directions", shown_channels * _SHOWN_BYTES)
-    keys, counts = np.unique(_keys(atlas, field), return_counts=True)
+    if lookup == "thesis" and (field.middle or field.biases):
+        raise InvalidScene(Problem("lookup", f"is thesis for an {field.mlp_text}", "nearest or bilinear"))
+    codes, numbers = codes_of(field.features[field.used]), None
+    if field.channels > 3:  # codes of more bits: numbers in their order replace them in the keys
+        codes, numbers = np.unique(codes, return_inverse=True)
+    keys, counts = np.unique(_keys(atlas, field, codes if numbers is None else numbers), return_counts=True)
     memory.require(f"{len(keys):,} colours", len(keys) * _COLOUR_BYTES)
-    codes = (keys >> 40).astype(np.uint32)
+    codes = (keys >> 40).astype(np.uint32) if numbers is None else codes[keys >> 40]
     features = colours_of((keys & 0xFFFFFF).astype(np.uint32))
     index, weight = atlas.terms((keys >> 24 & 0xFFFF).astype(np.uint16), features)
     table = atlas.show(directions, lookup).transpose(0, 2, 1).reshape(len(atlas.tiles), -1)
@@ -121,9 +126,12 @@ def measure_atlas_error(
     return AtlasError(mae, mse, mae_float, mse_float, int(counts.sum()), len(keys))
 
 
-def _keys(atlas: OctahedralAtlas, field: SpecularField) -> npt.NDArray[np.uint64]:
-    """Return a 64-bit key per used texel of all that its error depends on: colour code, label, feature code."""
-    keys = codes_of(field.features[field.used]).astype(np.uint64) << np.uint64(40)
+def _keys(atlas: OctahedralAtlas, field: SpecularField, colours: npt.NDArray[Any]) -> npt.NDArray[np.uint64]:
+    """Return a 64-bit key per used texel of all that its error depends on: colour, label, feature code.
+
+    colours: a number below 2^24 for each used texel's colour.
+    """
+    keys = colours.astype(np.uint64) << np.uint64(40)
     keys |= atlas.labels[field.used].astype(np.uint64) << np.uint64(24)
     if atlas.features is not None:
         keys |= codes_of(atlas.features[field.used])
@@ -139,16 +147,16 @@ def _first_met(field: SpecularField) -> npt.NDArray[np.uint8]:
 
 def _sums(
     field: SpecularField,
-    codes: npt.NDArray[np.uint32],
+    codes: Codes,
     shown: AtlasWeights,
     directions: npt.NDArray[np.float64],
     lookup: TexelLookup,
 ) -> npt.NDArray[np.float64]:
     """Return the differences (m, 4) of m texels, see kernels.surface.mlp.differences()."""
-    features = colours_of(codes) / 255
+    features = colours_of(codes, field.channels) / 255
     if lookup == "thesis":
         return mlp.exact_differences(features, directions, field.w0, field.w1, shown)
-    return mlp.differences(features, mlp.split_layers(directions, field.w0, field.w1), shown)
+    return mlp.differences(features, mlp.split_layers(directions, *field.mlp), shown)
 
 
 DirectionSet = Literal["fibonacci", "cameras"]
