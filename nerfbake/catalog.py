@@ -160,9 +160,11 @@ FORMATS = (
 _COLMAP = ("cameras.bin", "images.bin", "cameras.txt", "images.txt")
 _LLFF, _NSVF, _BAKED = ("poses_bounds.npy",), ("intrinsics.txt",), ("scene_params.json",)
 _SOG = ("meta.json", "lod-meta.json")
+_MOBILE = "shape0.pngfeat0.png"
 _BLOCKS = "sparse_grid_block_indices.png"
 FOLDERS = (
     FolderKind("stage1", "Stage1", "mesh.stage1", "nerf2mesh's stage 1", key="mlp.json"),
+    FolderKind("mobilenerf", "Stage1", "mesh.mobilenerf", "MobileNeRF's folder", _MOBILE, writable=False),
     FolderKind("atlas", "BakedAtlas", "atlas.folder", "octahedral atlas", key="atlas.json"),
     FolderKind("thesis", "BakedAtlas", "atlas.thesis", "the thesis' atlas", key="octahedron_maps.png", writable=False),
     FolderKind("transforms", "Cameras", "camera.transforms_folder", "capture's cameras", key="transforms.json"),

@@ -35,6 +35,8 @@ class Mesh(CompactRepr):
     colours    (v, 3) float32, sRGB in 0..1, multiplied by the texture; None: white on a texture, else grey
     material   (h, w, 2) uint8, glTF's roughness and specular strength, 255 is 1; the texture is then the albedo. Only
                .glb stores it, and pictures show the albedo; None: not known
+    opaque     (H, W) bool: the texels of the texture that are there; the others are holes, which rays pass through. A
+               ray meets the nearest texel, without interpolation. None: all. The texture may be a single texel
 
     >>> import numpy as np
     >>> from nerfbake import Mesh
@@ -49,6 +51,7 @@ class Mesh(CompactRepr):
     texture: npt.NDArray[np.uint8] | None = None
     colours: npt.NDArray[np.float32] | None = None
     material: npt.NDArray[np.uint8] | None = None
+    opaque: npt.NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         v = len(self.positions)
@@ -75,6 +78,12 @@ class Mesh(CompactRepr):
                 found = f"has shape {shape}, dtype {self.material.dtype}"
                 raise InvalidScene(Problem("mesh material", found, "(H, W, 2) uint8"))
             self.require_uvs()
+        if self.opaque is not None:
+            shape = (1, 1) if self.texture is None else self.texture.shape[:2]
+            allowed = self.opaque.shape if shape == (1, 1) and self.opaque.ndim == 2 else shape
+            if self.texture is None or self.opaque.shape != allowed or self.opaque.dtype != np.bool_:
+                found = f"have shape {self.opaque.shape}, dtype {self.opaque.dtype}"
+                raise InvalidScene(Problem("mesh holes", found, f"{allowed} bool, and a texture"))
         problems = number_problems("mesh positions", self.positions, most=MAX_WORLD)
         problems += count_problem("mesh faces", self.faces >= v, self.faces, f"a vertex, 0 to {v - 1:,}")
         if self.uvs is not None:
@@ -92,6 +101,15 @@ class Mesh(CompactRepr):
                 Problem("the mesh", "has no texture coordinates", "texture coordinates for every vertex")
             )
         return self.uvs
+
+    @property
+    def texels(self) -> npt.NDArray[np.uint8] | None:
+        """The texture as pictures store it: (H, W, 3), or (H, W, 4) with an alpha of 0 in holes; None without one."""
+        if self.texture is None or self.opaque is None:
+            return self.texture
+        texels = np.empty((*self.opaque.shape, 4), np.uint8)
+        texels[..., :3], texels[..., 3] = self.texture, np.where(self.opaque, 255, 0)
+        return texels
 
     def require_unwrapped(self) -> npt.NDArray[np.float32]:
         """Return the texture coordinates. Raises InvalidScene if there are none, or any outside the texture."""

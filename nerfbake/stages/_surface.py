@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake.kernels.arrays import Ints, Singles
 from nerfbake.kernels.surface import gbuffer
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import Image
@@ -48,16 +50,33 @@ def shade_surfaces(
     background: tuple[float, float, float] | None,
 ) -> Image:
     """Return a picture whose alpha is 0 or 1. colours(i, hits) returns the sRGB colours (m, 3) in 0..1 of mesh i."""
-    camera.require_memory(_PIXEL_BYTES)
+    seen = look_at_surfaces(meshes, camera, colours, channels=3)
+    if background is not None:
+        seen.values[seen.alpha == 0] = background
+    return Image(seen.values, seen.alpha, seen.depth, background)
+
+
+class Seen(NamedTuple):
+    """What the rays of a picture meet; values and depth are 0 where they meet nothing."""
+
+    values: Singles  # (H, W, channels)
+    alpha: Singles  # (H, W) 0 or 1
+    depth: Singles  # (H, W) distance along the ray
+
+
+def look_at_surfaces(
+    meshes: Sequence[Mesh], camera: Camera, values: Callable[[int, Hits], Singles], *, channels: int
+) -> Seen:
+    """Return what a camera sees. values(i, hits) returns the numbers (m, channels) of mesh i in these pixels."""
+    camera.require_memory(_PIXEL_BYTES + 4 * max(channels - 3, 0))
     shape = (camera.height, camera.width)
     _, directions = camera.rays()
     positions, faces, first = joined_meshes(meshes)
-    seen = gbuffer.gbuffer(positions, faces, camera.pose, directions.reshape(*shape, 3))
+    rays = directions.reshape(*shape, 3)
+    seen = gbuffer.gbuffer(positions, faces, camera.pose, rays, _holes_of(meshes, first))
     triangle, weights = seen.triangle.reshape(-1), seen.weights.reshape(-1, 3)
     hit = seen.triangle != gbuffer.NONE
-    colour = np.zeros((*shape, 3), np.float32)
-    if background is not None:
-        colour[~hit] = background
+    found = np.zeros((*shape, channels), np.float32)
     filled = np.flatnonzero(triangle != gbuffer.NONE)
     owner = np.searchsorted(first, triangle[filled], side="right") - 1
     order = np.argsort(owner, kind="stable")
@@ -67,6 +86,22 @@ def shade_surfaces(
         if not len(pixels):
             continue
         hits = Hits(mesh, triangle[pixels] - first[i], weights[pixels], directions[pixels])
-        colour.reshape(-1, 3)[pixels] = colours(i, hits)
+        found.reshape(-1, channels)[pixels] = values(i, hits)
     depth = np.where(hit, seen.distance, 0).astype(np.float32)
-    return Image(colour, hit.astype(np.float32), depth, background)
+    return Seen(found, hit.astype(np.float32), depth)
+
+
+def _holes_of(meshes: Sequence[Mesh], first: Ints) -> gbuffer.Holes | None:
+    """Return the holes of all meshes; None if there are none. first: the index of each mesh's first face, and the end."""
+    if all(mesh.opaque is None for mesh in meshes):
+        return None
+    uvs = [np.zeros((len(mesh.positions), 2), np.float32) if mesh.uvs is None else mesh.uvs for mesh in meshes]
+    owner, masks, texels = np.full(first[-1], -1, np.int32), [], []
+    at = 0
+    for i, mesh in enumerate(meshes):
+        if mesh.opaque is not None:
+            owner[first[i] : first[i + 1]] = len(masks)
+            masks.append((at, *mesh.opaque.shape))
+            texels.append(mesh.opaque.reshape(-1))
+            at += mesh.opaque.size
+    return gbuffer.Holes(np.concatenate(uvs), owner, np.array(masks, np.int64), np.concatenate(texels))

@@ -22,8 +22,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.errors import InvalidFile, Problem
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.camera.transforms import decode_positions
+from nerfbake.formats.mesh import mobilenerf
 from nerfbake.formats.mesh.surface import decode_surface, encode_surface
 from nerfbake.formats.wire.json import number, parse_object, shorten, table, whole
 from nerfbake.formats.wire.picture import decode_texture, encode_texture
@@ -75,7 +76,7 @@ def _weights(content: dict[str, Any], key: str) -> npt.NDArray[np.float32]:
 
 
 def recognise(files: Mapping[str, memoryview]) -> bool:
-    return "mlp.json" in files
+    return "mlp.json" in files and not mobilenerf.recognise(files)
 
 
 def decode(files: Mapping[str, memoryview]) -> Stage1:
@@ -105,8 +106,13 @@ def decode(files: Mapping[str, memoryview]) -> Stage1:
 
 
 def encode(stage1: Stage1) -> Iterator[tuple[str, Iterable[bytes | memoryview]]]:
-    """Yield the files by name. Textures are PNGs, so that features stay exact; files that were read are copied."""
+    """Yield the files by name. Textures are PNGs, so that features stay exact; files that were read are copied.
+
+    Raises InvalidScene for MobileNeRF's MLP, which these files cannot store.
+    """
     first = stage1.fields[0]
+    if first.channels != 3 or first.middle or first.biases:
+        raise InvalidScene(Problem("the MLP", f"is {first.mlp_text}", "two layers without biases, of 3 features"))
     yield "mlp.json", [encode_mlp(Mlp(first.w0, first.w1, len(stage1.fields)))]
     for cascade, field in enumerate(stage1.fields):
         yield f"feat1_{cascade}.png", [encode_texture(field.features)]

@@ -1,4 +1,7 @@
-"""Read and write meshes in nerf2mesh folders: mesh_{c}.obj, mesh_{c}.mtl, and the diffuse texture feat0_{c}."""
+"""Read and write meshes in nerf2mesh folders: mesh_{c}.obj, mesh_{c}.mtl, and the diffuse texture feat0_{c}.
+
+An alpha below 1/2 in the diffuse texture marks a hole.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import numpy as np
 
 from nerfbake.formats.mesh.mtl import encode_mtl
 from nerfbake.formats.mesh.obj import decode_obj, encode_obj
-from nerfbake.formats.wire.picture import decode_texture, encode_texture
+from nerfbake.formats.wire.picture import decode_cut_out, encode_texture
 from nerfbake.scene.mesh import Mesh, joined_meshes
 from nerfbake.scene.origin import no_origin
 from nerfbake.scene.stage1 import diffuse_name
@@ -25,9 +28,9 @@ def decode_surface(files: Mapping[str, memoryview], cascade: int) -> Mesh | None
     if name not in files:
         return None
     parts = decode_obj(files[name], name).relative_to(no_origin()).meshes
-    texture = decode_texture(files[diffuse], diffuse, any_mode=True) if diffuse else None
+    texture, opaque = decode_cut_out(files[diffuse], diffuse) if diffuse else (None, None)
     positions, faces, _ = joined_meshes(parts)
-    return Mesh(positions, np.concatenate([part.require_uvs() for part in parts]), faces, texture)
+    return Mesh(positions, np.concatenate([part.require_uvs() for part in parts]), faces, texture, opaque=opaque)
 
 
 def encode_surface(
@@ -38,5 +41,5 @@ def encode_surface(
         return
     yield f"mesh_{cascade}.obj", encode_obj([mesh], f"mesh_{cascade}.mtl", [_MATERIAL])
     yield f"mesh_{cascade}.mtl", [encode_mtl([(_MATERIAL, f"feat0_{cascade}.png")])]
-    if mesh.texture is not None:
-        yield f"feat0_{cascade}.png", [encode_texture(mesh.texture)]
+    if mesh.texels is not None:
+        yield f"feat0_{cascade}.png", [encode_texture(mesh.texels)]

@@ -174,6 +174,31 @@ def decode_texture(view: memoryview, name: str, *, any_mode: bool = False, webp:
     return texels
 
 
+def decode_cut_out(view: memoryview, name: str) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_] | None]:
+    """Decode a texture that is displayed to (H, W, 3) uint8, and (H, W) bool, True where alpha is 1/2 or more.
+
+    The second is None for a picture without alpha, or without such holes. PNG, JPEG or WebP. Raises InvalidFile,
+    MemoryLimit.
+    """
+    with opened(view, name, "PNG", "JPEG", "WEBP", bytes_per_pixel=8) as image:
+        if image.mode not in ("RGBA", "LA", "PA") and "transparency" not in image.info:
+            return decode_texture(view, name, any_mode=True, webp=True), None
+        texels = pixels_of(image, "RGBA")
+    memory.hold(name, texels.nbytes)
+    opaque = texels[..., 3] >= 128
+    return np.ascontiguousarray(texels[..., :3]), None if opaque.all() else opaque
+
+
+def decode_rgba(view: memoryview, name: str) -> npt.NDArray[np.uint8]:
+    """Decode a picture of data to (H, W, 4) uint8. Raises InvalidFile unless it is an 8-bit RGBA PNG, MemoryLimit."""
+    with opened(view, name, "PNG", bytes_per_pixel=4) as image:
+        if image.mode != "RGBA":
+            raise InvalidFile(Problem(name, f"holds {image.mode} texels", "RGBA, 8 bits a channel"))
+        texels = pixels_of(image, "RGBA")
+    memory.hold(name, texels.nbytes)
+    return texels
+
+
 def eight_bits(picture: Image.Image) -> Image.Image:
     """The upper 8 bits of a grey picture of 16 bits, of which Pillow's convert() clips all above 255; else itself."""
     if not picture.mode.startswith("I"):
@@ -220,8 +245,8 @@ def encode_texture(texels: npt.NDArray[np.uint8]) -> bytes:
 
 
 def encode_picture(texels: npt.NDArray[np.uint8], coding: Coding) -> bytes:
-    """Encode (H, W, 3) uint8 as PNG, or with losses as JPEG or WebP."""
-    if coding == "png":
+    """Encode (H, W, 3) uint8 as PNG, or with losses as JPEG or WebP; (H, W, 4) with alpha as PNG or WebP."""
+    if coding == "png" or (coding == "jpeg" and texels.shape[2] == 4):
         return encode_texture(texels)
     file = io.BytesIO()
     Image.fromarray(texels).save(file, coding, **_LOSSY[coding])

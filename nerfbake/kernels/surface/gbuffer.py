@@ -34,8 +34,31 @@ class GBuffer(NamedTuple):
     distance: Floats  # (H, W) along the ray
 
 
-def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], pose: Floats, rays: Floats) -> GBuffer:
+class Holes(NamedTuple):
+    """Texels that rays pass through. A ray meets the nearest texel, as kernels.surface.texture.nearest_texel() does."""
+
+    uvs: npt.NDArray[np.float32]  # (v, 2) of the vertices
+    owner: npt.NDArray[np.int32]  # (t,) the mask of each triangle; -1 for none
+    masks: npt.NDArray[np.int64]  # (n, 3) place of the first texel, height and width
+    opaque: npt.NDArray[np.bool_]  # the texels of all masks
+
+
+def no_holes() -> Holes:
+    return Holes(
+        np.zeros((0, 2), np.float32), np.zeros(0, np.int32), np.zeros((0, 3), np.int64), np.zeros(0, np.bool_)
+    )
+
+
+def gbuffer(
+    positions: npt.NDArray[np.float32],
+    faces: npt.NDArray[np.uint32],
+    pose: Floats,
+    rays: Floats,
+    holes: Holes | None = None,
+) -> GBuffer:
     """The nearest of t triangles for each pixel, on either side of the triangle; the first of equally near ones.
+
+    holes: texels of the triangles that rays pass through.
 
     positions (v, 3), faces (t, 3). pose (4, 4): camera to world, OpenGL axes. rays (H, W, 3): the world directions
     through the pixel centres; distances are in units of their lengths. The rays may come from any lens, if all of them
@@ -55,7 +78,7 @@ def gbuffer(positions: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], p
     found = GBuffer(np.full((H, W), NONE, np.int32), np.zeros((H, W, 3), np.float32), np.full((H, W), np.inf))
     boxes = np.zeros((len(faces), 4), np.int32)
     _bound(points, faces, columns, rows, boxes)
-    _fill(points, faces, boxes, looks, *found)
+    _fill(points, faces, boxes, looks, no_holes() if holes is None else holes, *found)
     return found
 
 
@@ -130,6 +153,18 @@ def _below(table: Floats, row: int, value: float, strictly: bool) -> int:
     return first
 
 
+@compiled()
+def _is_opaque(holes: Holes, f: int, faces: npt.NDArray[np.uint32], u: float, v: float, w: float) -> bool:
+    """Whether the texel of triangle f at these weights is there. The operations of Hits.uvs and nearest_texel()."""
+    first, H, W = holes.masks[holes.owner[f], 0], holes.masks[holes.owner[f], 1], holes.masks[holes.owner[f], 2]
+    u, v, w = np.float32(u), np.float32(v), np.float32(w)
+    a, b, c = holes.uvs[faces[f, 0]], holes.uvs[faces[f, 1]], holes.uvs[faces[f, 2]]
+    across, down = u * a[0] + v * b[0] + w * c[0], u * a[1] + v * b[1] + w * c[1]
+    x = int(np.float64(across - np.floor(across)) * W) % W
+    y = int(np.float64(down - np.floor(down)) * H) % H
+    return bool(holes.opaque[first + y * W + x])
+
+
 @on_every_core
 @compiled()
 def _fill(
@@ -139,11 +174,12 @@ def _fill(
     faces: npt.NDArray[np.uint32],
     boxes: npt.NDArray[np.int32],
     looks: Floats,
+    holes: Holes,
     triangle: npt.NDArray[np.int32],
     weights: npt.NDArray[np.float32],
     distance: Floats,
 ) -> None:
-    H = len(looks)
+    H, holed = len(looks), len(holes.owner) > 0
     for band in range(core, (H + _ROWS - 1) // _ROWS, cores):
         for f in range(len(faces)):
             top, bottom = max(boxes[f, 1], band * _ROWS), min(boxes[f, 3], (band + 1) * _ROWS)
@@ -168,5 +204,7 @@ def _fill(
                     # A weighted mean of the corners, so rounding never moves it in front of or behind all of them.
                     far = (u * a[2] + v * b[2] + w * c[2]) / d2
                     if 0 < far < distance[y, x]:
+                        if holed and holes.owner[f] >= 0 and not _is_opaque(holes, f, faces, u, v, w):
+                            continue
                         distance[y, x], triangle[y, x] = far, f
                         weights[y, x, 0], weights[y, x, 1], weights[y, x, 2] = u, v, w
