@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import product
+from typing import TypeVar
 
 import numpy as np
 
 from nerfbake import memory, progress
 from nerfbake.kernels.soundness import MAX_EDGE
+from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.scene.camera import Camera, require_samples
 from nerfbake.scene.image import Image
 
@@ -16,16 +18,29 @@ RAYS = 1 << 18  # rays at a time: about 50 MB, and enough work for every core
 _PIXEL_BYTES = 20  # per pixel of the whole picture, which stays in memory while its parts are rendered
 
 
+Fine = TypeVar("Fine")
+
+
 def supersampled(render: Callable[[Camera], Image], camera: Camera, samples: int) -> Image:
     """Call render() for samples x samples rays per pixel, through the centres of equal squares, and average them.
 
     Colour and alpha are means; colours are averaged in sRGB. Depth is the mean weighted by alpha. With one sample the
-    result is that of render(). The picture is rendered in parts of at most RAYS rays, or one row of pixels. Raises
-    InvalidScene unless there are 1 to 8 samples.
+    result is that of render(). Raises InvalidScene unless there are 1 to 8 samples.
+    """
+    return in_parts(render, _means, camera, samples)
+
+
+def in_parts(
+    look: Callable[[Camera], Fine], average: Callable[[Fine, int], Image], camera: Camera, samples: int
+) -> Image:
+    """Call look() for N x N rays per pixel, through the centres of equal squares, and average() for the picture of it.
+
+    average() takes the result of look(), and N. The picture is made in parts of at most RAYS rays, or one row of
+    pixels. Raises InvalidScene unless there are 1 to 8 samples.
     """
     N = require_samples(samples)
     if N == 1:
-        return render(camera)
+        return average(look(camera), 1)
     W, H = camera.width, camera.height
     across = min(W, MAX_EDGE // N)
     down = max(1, RAYS // (N * N * across))
@@ -34,21 +49,32 @@ def supersampled(render: Callable[[Camera], Image], camera: Camera, samples: int
         alpha, depth = np.empty((H, W), np.float32), np.empty((H, W), np.float32)
         for y, x in progress.each(list(product(range(0, H, down), range(0, W, across)))):
             rows, columns = slice(y, min(y + down, H)), slice(x, min(x + across, W))
-            part = _means(render(camera.part(columns, rows, finer=N)), N)
+            part = average(look(camera.part(columns, rows, finer=N)), N)
             colour[rows, columns], alpha[rows, columns], depth[rows, columns] = part.colour, part.alpha, part.depth
     return Image(colour, alpha, depth, part.background)
 
 
 def _means(fine: Image, N: int) -> Image:
-    """Average each N x N pixels to one. The order of the sums is fixed, so that every CPU returns the same bits."""
-    H, W = fine.alpha.shape
-    colour, alpha, far = np.zeros((H // N, W // N, 3)), np.zeros((H // N, W // N)), np.zeros((H // N, W // N))
+    """Average each N x N pixels to one."""
+    if N == 1:
+        return fine
+    alpha, depth = mean_depth(fine.alpha, fine.depth, N)
+    return Image(block_means(fine.colour, N).astype(np.float32), alpha, depth, fine.background)
+
+
+def block_means(fine: Singles, N: int) -> Floats:
+    """(H, W, ...) means of each N x N of (H N, W N, ...). The order of the sums is fixed: every CPU has the same bits."""
+    total = np.zeros((len(fine) // N, fine.shape[1] // N, *fine.shape[2:]))
     for y, x in product(range(N), range(N)):
-        colour += fine.colour[y::N, x::N]
-        alpha += fine.alpha[y::N, x::N]
-        far += fine.alpha[y::N, x::N].astype(np.float64) * fine.depth[y::N, x::N]
-    depth = np.divide(far, alpha, out=np.zeros_like(far), where=alpha > 0)
-    single = np.float32
-    return Image(
-        (colour / (N * N)).astype(single), (alpha / (N * N)).astype(single), depth.astype(single), fine.background
-    )
+        total += fine[y::N, x::N]
+    return np.asarray(total / (N * N))
+
+
+def mean_depth(alpha: Singles, depth: Singles, N: int) -> tuple[Singles, Singles]:
+    """(H, W) the mean alpha and the mean depth, weighted by alpha, of each N x N pixels."""
+    total, far = np.zeros((len(alpha) // N, alpha.shape[1] // N)), np.zeros((len(alpha) // N, alpha.shape[1] // N))
+    for y, x in product(range(N), range(N)):
+        total += alpha[y::N, x::N]
+        far += alpha[y::N, x::N].astype(np.float64) * depth[y::N, x::N]
+    mean = np.divide(far, total, out=np.zeros_like(far), where=total > 0)
+    return (total / (N * N)).astype(np.float32), mean.astype(np.float32)

@@ -96,12 +96,13 @@ def _holes_of(meshes: Sequence[Mesh], first: Ints) -> gbuffer.Holes | None:
     if all(mesh.opaque is None for mesh in meshes):
         return None
     uvs = [np.zeros((len(mesh.positions), 2), np.float32) if mesh.uvs is None else mesh.uvs for mesh in meshes]
-    owner, masks, texels = np.full(first[-1], -1, np.int32), [], []
+    owner, texels = np.full(first[-1], -1, np.int32), []
+    masks: list[tuple[int, int, int]] = []
     at = 0
     for i, mesh in enumerate(meshes):
         if mesh.opaque is not None:
             owner[first[i] : first[i + 1]] = len(masks)
-            masks.append((at, *mesh.opaque.shape))
+            masks.append((at, *mesh.opaque.shape[:2]))
             texels.append(mesh.opaque.reshape(-1))
             at += mesh.opaque.size
     return gbuffer.Holes(np.concatenate(uvs), owner, np.array(masks, np.int64), np.concatenate(texels))

@@ -35,7 +35,7 @@ def summary_of_stage1(stage1: Stage1) -> dict[str, Any]:
     """Return each cascade's textures, MLP and mesh, and the number of cameras."""
     parts = zip(stage1.fields, stage1.meshes, strict=True)
     return {
-        "kind": "nerf2mesh stage 1",
+        "kind": "MobileNeRF" if stage1.deferred else "nerf2mesh stage 1",
         "cameras": None if stage1.cameras is None else len(stage1.cameras),
         "cascades": {str(c): {**_of_field(field), **_of_mesh(mesh)} for c, (field, mesh) in enumerate(parts)},
     }

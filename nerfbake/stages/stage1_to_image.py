@@ -1,4 +1,4 @@
-"""nerf2mesh stage 1, or an atlas baked from it, and camera -> picture as in their viewers."""
+"""nerf2mesh stage 1, MobileNeRF, or an atlas baked from them, and camera -> picture as in their viewers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.arrays import Singles
 from nerfbake.kernels.surface.mlp import evaluate_each
 from nerfbake.kernels.surface.texture import nearest_texel
 from nerfbake.scene.atlas import BakedAtlas
@@ -13,8 +14,8 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.stage1 import Stage1
-from nerfbake.stages._supersampled import supersampled
-from nerfbake.stages._surface import Hits, shade_surfaces
+from nerfbake.stages._supersampled import block_means, in_parts, mean_depth, supersampled
+from nerfbake.stages._surface import Hits, Seen, look_at_surfaces, shade_surfaces
 from nerfbake.stages.meshes_to_image import surface_colours
 
 
@@ -29,8 +30,10 @@ def render_stage1(
 
     The specular colour of a Stage1 is the MLP's output. That of a BakedAtlas is computed like in atlas.glsl, with
     interpolation between the texels of a map. Both use the nearest texel of the texture, like the viewer of nerf2mesh
-    (its renderer.html). samples x samples rays per pixel are averaged as in render_field(). Raises InvalidScene if a
-    mesh is missing. Source: docs/formats/atlas.md, "The stage-1 folder".
+    (its renderer.html). samples x samples rays per pixel are averaged as in render_field(). Of a MobileNeRF scene their
+    features and directions are averaged, 0 where a ray meets nothing; the MLP's output is then blended with the
+    background by the share of rays that meet something, as in its viewer (with 2 x 2 rays). Raises InvalidScene if a
+    mesh is missing. Source: docs/formats/atlas.md, "The stage-1 folder" and "MobileNeRF's folder".
 
     >>> from nerfbake import orbit_cameras, render_stage1, sample_stage1
     >>> stage1 = sample_stage1(resolution=16)
@@ -44,6 +47,8 @@ def render_stage1(
         return np.asarray(np.clip(surface_colours(hits) + specular, 0, 1), np.float32)
 
     meshes = surfaces(scene)
+    if isinstance(scene, Stage1) and scene.deferred:
+        return _deferred(scene, meshes, camera, background, samples)
     return supersampled(lambda part: shade_surfaces(meshes, part, colours, background), camera, samples)
 
 
@@ -52,7 +57,8 @@ def surfaces(scene: Stage1 | BakedAtlas) -> tuple[Mesh, ...]:
     found = []
     for cascade, mesh in enumerate(scene.meshes):
         if mesh is None or mesh.texture is None:
-            what = f"mesh_{cascade}.obj" if mesh is None else f"feat0_{cascade}"
+            name = f"shape{cascade}.obj" if isinstance(scene, Stage1) and scene.deferred else f"mesh_{cascade}.obj"
+            what = name if mesh is None else f"feat0_{cascade}"
             raise InvalidScene(Problem(what, "is missing", "a mesh and its diffuse texture, to render pictures"))
         found.append(mesh)
     return tuple(found)
@@ -60,7 +66,34 @@ def surfaces(scene: Stage1 | BakedAtlas) -> tuple[Mesh, ...]:
 
 def _mlp(stage1: Stage1, cascade: int, hits: Hits) -> npt.NDArray[np.float32]:
     field = stage1.fields[cascade]
-    return evaluate_each(nearest_texel(field.features, hits.uvs) / np.float32(255), hits.directions, field.w0, field.w1)
+    return evaluate_each(nearest_texel(field.features, hits.uvs) / np.float32(255), hits.directions, *field.mlp)
+
+
+def _deferred(
+    stage1: Stage1,
+    meshes: tuple[Mesh, ...],
+    camera: Camera,
+    background: tuple[float, float, float] | None,
+    samples: int,
+) -> Image:
+    """Average directions and features of the rays of a pixel, and evaluate the MLP once."""
+
+    def inputs(shape: int, hits: Hits) -> Singles:
+        features = nearest_texel(stage1.fields[shape].features, hits.uvs) / np.float32(255)
+        return np.concatenate([hits.directions, features], axis=1).astype(np.float32)
+
+    def shade(seen: Seen, N: int) -> Image:
+        alpha, depth = mean_depth(seen.alpha, seen.depth, N)
+        given, colour = block_means(seen.values, N), np.zeros((*alpha.shape, 3), np.float32)
+        there = alpha > 0
+        colour[there] = evaluate_each(given[there, 3:], given[there, :3], *stage1.fields[0].mlp)
+        colour *= alpha[..., None]
+        if background is not None:
+            colour += (1 - alpha[..., None]) * np.array(background, np.float32)
+        return Image(colour, alpha, depth, background)
+
+    channels = 3 + stage1.fields[0].channels
+    return in_parts(lambda part: look_at_surfaces(meshes, part, inputs, channels=channels), shade, camera, samples)
 
 
 def _atlas(baked: BakedAtlas, cascade: int, hits: Hits) -> npt.NDArray[np.float32]:

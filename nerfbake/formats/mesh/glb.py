@@ -24,7 +24,7 @@ from nerfbake.formats.mesh.colours import GREY, normalised, sound_colours
 from nerfbake.formats.mesh.glb_document import Document, extension_of, inline, list_of, malformed, numbers_of, whole
 from nerfbake.formats.mesh.glb_writer import UP, encode_glb, parts_of
 from nerfbake.formats.wire.json import kind_of, number
-from nerfbake.formats.wire.picture import Coding, decode_texture
+from nerfbake.formats.wire.picture import Coding, decode_cut_out
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import compose, determinant, length, transform_points
 from nerfbake.kernels.maths.elementary import cast, sine_cosine
@@ -179,7 +179,7 @@ class _Looks:
 
     def __init__(self, document: Document) -> None:
         self._document = document
-        self._textures: dict[int, npt.NDArray[np.uint8]] = {}
+        self._textures: dict[int, tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_] | None]] = {}
         self.notes: dict[str, None] = {}  # what was repaired
 
     def dress(self, mesh: Mesh, primitive: dict[str, Any], attributes: dict[str, Any], place: str) -> Mesh:
@@ -187,7 +187,7 @@ class _Looks:
 
         Factors are linear. They are converted to sRGB and multiply the sRGB texture, which is a close approximation.
         """
-        uvs, texture, light = None, None, np.ones((1, 3))
+        uvs, texture, opaque, light = None, None, None, np.ones((1, 3))
         base = _Base(None, None, "")
         if "material" in primitive:
             index = primitive["material"]
@@ -202,14 +202,15 @@ class _Looks:
             self.notes |= dict.fromkeys((*repaired, *notes))
         if isinstance(base.texture, dict):
             uvs = self._corners(base.texture, attributes, base.place)
-            texture = None if uvs is None else self._texture(base.texture.get("index"))
+            if uvs is not None:
+                texture, opaque = self._texture(base.texture.get("index"))
         v = len(mesh.positions)
         if len(light) not in (1, v) or (uvs is not None and len(uvs) != v):
             raise malformed(place, "has attributes of different counts", f"{v:,}, as POSITION")
         painted = base.factor is not None or "COLOR_0" in attributes
         with np.errstate(invalid="ignore"):
             colours = np.broadcast_to(from_linear(light), mesh.positions.shape) if painted else None
-        return replace(mesh, uvs=uvs, texture=texture, colours=colours)
+        return replace(mesh, uvs=uvs, texture=texture, colours=colours, opaque=opaque if base.masked else None)
 
     def _corners(
         self, texture: dict[str, Any], attributes: dict[str, Any], place: str
@@ -225,7 +226,7 @@ class _Looks:
             uvs = np.where(wrong, 0, uvs)
         return cast(uvs if move is None else _moved(uvs, move, at), np.float32)
 
-    def _texture(self, index: Any) -> npt.NDArray[np.uint8]:
+    def _texture(self, index: Any) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_] | None]:
         source = _source(self._document.item("textures", index), f"textures[{index}]")
         if source not in self._textures:
             image, place = self._document.item("images", source), f"images[{source}]"
@@ -233,7 +234,7 @@ class _Looks:
                 content = inline(image["uri"], place, "pictures inside the .glb")
             else:
                 content = self._document.view(image.get("bufferView"))
-            self._textures[source] = decode_texture(content, place, any_mode=True, webp=True)
+            self._textures[source] = decode_cut_out(content, place)
         return self._textures[source]
 
 
@@ -248,11 +249,15 @@ def _source(texture: dict[str, Any], place: str) -> int:
 
 
 class _Base(NamedTuple):
-    """The base colour of a material: its linear factor (3,), the reference to its texture, and that one's place."""
+    """The base colour of a material: its linear factor (3,), the reference to its texture, and that one's place.
+
+    masked: an alpha below 1/2 in the texture is a hole, as with the default alphaCutoff.
+    """
 
     factor: Floats | None
     texture: Any
     place: str
+    masked: bool = False
 
 
 def _base_of(material: dict[str, Any], place: str) -> _Base:
@@ -263,7 +268,7 @@ def _base_of(material: dict[str, Any], place: str) -> _Base:
     if not isinstance(surface, dict):
         raise malformed(at, f"is {kind_of(surface)}", "an object")
     light = numbers_of(surface, factor, at, 1, 1, 1, 1)[:3] if factor in surface else None
-    return _Base(light, surface.get(texture), f"{at}.{texture}")
+    return _Base(light, surface.get(texture), f"{at}.{texture}", material.get("alphaMode") == "MASK")
 
 
 def _moved(uvs: npt.NDArray[Any], move: dict[str, Any], place: str) -> Floats:

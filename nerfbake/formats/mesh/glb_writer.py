@@ -1,7 +1,8 @@
 """Write meshes as binary glTF 2.0 (.glb); glb.py draws the file.
 
 The writer keeps the coordinates of the field. If the up axis is not glTF's y, the nodes rotate the meshes. Textured
-meshes are unlit by default, and a mesh may have an octahedral atlas. Any viewer shows the diffuse texture. Atlas,
+meshes are unlit by default, and a mesh may have an octahedral atlas. Holes are alpha 0 in the texture, with the mode
+MASK and the nearest texel. Any viewer shows the diffuse texture. Atlas,
 labels and features are textures without a standard material slot; their indices and the conventions of the atlas are
 in the material's extras, under "nerfbake_atlas". A mesh with a material is lit: metallicRoughnessTexture has roughness
 in green and no metal in blue, and specularTexture of KHR_materials_specular has the specular strength in alpha.
@@ -67,7 +68,7 @@ def parts_of(scene: Meshes, image: Coding) -> list[MeshPart]:
     """The meshes of a scene and their coarser levels, with their textures as pictures."""
 
     def part(name: str, mesh: Mesh, coarser: bool) -> MeshPart:
-        textures = {} if mesh.texture is None else {"diffuse": encode_picture(mesh.texture, image)}
+        textures = {} if mesh.texels is None else {"diffuse": encode_picture(mesh.texels, image)}
         if mesh.material is not None:
             roughness, specular = mesh.material[..., :1], mesh.material[..., 1:]
             none, white = np.zeros_like(roughness), np.full((*roughness.shape[:2], 3), 255, np.uint8)
@@ -186,11 +187,14 @@ class _Body:
         return node
 
     def _material(self, part: MeshPart) -> dict[str, Any]:
-        textures = {role: self._texture(role, content, part.name) for role, content in part.textures.items()}
+        holed = part.mesh.opaque is not None
+        textures = {role: self._texture(role, content, part.name, holed) for role, content in part.textures.items()}
         surface: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
         material = {"name": part.name, "pbrMetallicRoughness": surface, "doubleSided": True}
         if textures and not self._lit:
             material["extensions"] = {_UNLIT: {}}
+        if holed:
+            material |= {"alphaMode": "MASK", "alphaCutoff": 0.5}
         if "diffuse" in textures:
             surface["baseColorTexture"] = {"index": textures.pop("diffuse")}
         if "roughness" in textures:
@@ -248,15 +252,16 @@ class _Body:
         place = {} if stride == width else {"byteStride": stride}
         return self._accessor(rows, component, f"VEC{columns}", _VERTICES, place, **more)
 
-    def _texture(self, role: str, content: bytes | memoryview, name: str) -> int:
+    def _texture(self, role: str, content: bytes | memoryview, name: str, holed: bool) -> int:
         start = bytes(content[:4])
         kind = {b"\x89PNG": "png", b"RIFF": "webp"}.get(start, "jpeg")
         view = self._append("bufferViews", self._view(content))
         image = self._append("images", {"name": f"{name} {role}", "bufferView": view, "mimeType": f"image/{kind}"})
-        entry: dict[str, Any] = {"sampler": _SAMPLERS[role], "source": image}
+        sampler = _SAMPLERS["labels"] if holed and role == "diffuse" else _SAMPLERS[role]
+        entry: dict[str, Any] = {"sampler": sampler, "source": image}
         if kind == "webp":
             self.used.add(_WEBP)
-            entry = {"sampler": _SAMPLERS[role], "extensions": {_WEBP: {"source": image}}}
+            entry = {"sampler": sampler, "extensions": {_WEBP: {"source": image}}}
         return self._append("textures", entry)
 
     def _accessor(

@@ -1,10 +1,11 @@
 r"""Read and write the materials of .obj files (.mtl): names, and the pictures of their diffuse colours.
 
-    newmtl NAME     map_Kd [-option value ...] PICTURE
+    newmtl NAME     map_Kd [-option value ...] PICTURE     map_d PICTURE
 
 Pictures are PNG or JPEG beside the .obj or in a folder below it, with / or \ in their names. Other pictures and missing
 files are left out with a note, as are names that lead out of the folder of the .obj, by .., from the root or through a
-link in a folder below: a file from elsewhere must not choose what is read. Names may contain spaces and #; a line that
+link in a folder below: a file from elsewhere must not choose what is read. With a map_d, an alpha below 1/2 in the
+picture of map_Kd is a hole, whatever picture map_d names. Names may contain spaces and #; a line that
 starts with # is a comment. Options of a picture are skipped.
 """
 
@@ -12,15 +13,16 @@ from __future__ import annotations
 
 import re
 from codecs import BOM_UTF8
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.wire.picture import decode_texture
+from nerfbake.formats.wire.picture import decode_cut_out
 
+Texture = tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_] | None]
 _ENDINGS = (".png", ".jpg", ".jpeg")
 _LONGEST = 200  # bytes of a file name
 _MOST = 100  # names of libraries
@@ -43,12 +45,13 @@ class Materials:
     def __init__(self, libraries: Iterable[bytes], beside: Mapping[str, memoryview] | None) -> None:
         self._beside = {} if beside is None else beside
         self._left: dict[str, None] = {}  # what is left out, and why
-        self._pictures: dict[bytes, tuple[str, bytes]] = {}  # by material: the folder of its library, and its line
+        # By material: the folder of its library, its line, and whether the picture has holes.
+        self._pictures: dict[bytes, tuple[str, bytes, bool]] = {}
         for name in self._names(libraries):
             folder = name[: name.rfind("/") + 1]
             found = _pictures(bytes(self._beside[name]))
-            self._pictures = {material: (folder, line) for material, line in found.items()} | self._pictures
-        self._textures: dict[str, npt.NDArray[np.uint8]] = {}
+            self._pictures = {material: (folder, *line) for material, line in found.items()} | self._pictures
+        self._textures: dict[str, Texture] = {}
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -56,26 +59,28 @@ class Materials:
         first, more = next(iter(self._left), None), len(self._left) - 1
         return () if first is None else (first + (f" (and {more:,} more)" if more else ""),)
 
-    def texture(self, material: bytes, *, placed: bool = True) -> npt.NDArray[np.uint8] | None:
-        """The texture (H, W, 3) of a material; None if it has none. Raises InvalidFile, MemoryLimit.
+    def texture(self, material: bytes, *, placed: bool = True) -> Texture | tuple[None, None]:
+        """The texture (H, W, 3) of a material and its texels that are no holes (H, W); None if it has none.
 
-        placed: the mesh has texture coordinates. Without them, its texture is left out.
+        placed: the mesh has texture coordinates. Without them, its texture is left out. Raises InvalidFile,
+        MemoryLimit.
         """
-        folder, line = self._pictures.get(material, ("", b""))
+        folder, line, holed = self._pictures.get(material, ("", b"", False))
         named = _OPTIONS.sub(b"", line)  # a name may contain spaces
         name = self._there(named, folder)
         if name is None or not name.lower().endswith(_ENDINGS):
             if named:
                 self._leave("texture", named, "is no PNG or JPEG in the folder of the .obj")
-            return None
+            return None, None
         if not placed:
             self._leave("texture", named, "is not shown, because corners lack texture coordinates")
-            return None
+            return None, None
         if _PLACING.search(line[: len(line) - len(named)]):
             self._leave("texture", line, "is shown without its options")
         if name not in self._textures:
-            self._textures[name] = decode_texture(self._beside[name], name, any_mode=True)
-        return self._textures[name]
+            self._textures[name] = decode_cut_out(self._beside[name], name)
+        texels, opaque = self._textures[name]
+        return texels, opaque if holed else None
 
     def _leave(self, what: str, name: bytes, reason: str) -> None:
         self._left[f"{what} {name.decode(errors='replace')[:_TOLD]!r} {reason}"] = None
@@ -115,22 +120,27 @@ class Materials:
         return None
 
 
-def _pictures(content: bytes) -> dict[bytes, bytes]:
-    """The picture of each material, behind its options; b"" for none."""
-    found: dict[bytes, bytes] = {}
+def _pictures(content: bytes) -> dict[bytes, tuple[bytes, bool]]:
+    """The picture of each material, behind its options, b"" for none; and whether it has holes."""
+    found: dict[bytes, tuple[bytes, bool]] = {}
     material = b""
     for line in content.removeprefix(BOM_UTF8).splitlines():
         word, rest = (*line.split(None, 1), b"", b"")[:2]
         rest = rest.strip()
         if word == b"newmtl":
             material = rest
-            found.setdefault(material, b"")
+            found.setdefault(material, (b"", False))
         if word.lower() == b"map_kd" and rest:
-            found[material] = rest
+            found[material] = rest, found.get(material, (b"", False))[1]
+        if word.lower() == b"map_d" and rest:
+            found[material] = found.get(material, (b"", False))[0], True
     return found
 
 
-def encode_mtl(materials: Sequence[tuple[str, str | None]]) -> bytes:
-    """The library of these materials: the name of each, and of its picture or None."""
-    lines: list[Any] = [_MTL.format(name) + (f"map_Kd {picture}\n" if picture else "") for name, picture in materials]
+def encode_mtl(materials: Sequence[tuple[str, str | None]], holed: Container[str] = ()) -> bytes:
+    """The library of these materials: the name of each, and of its picture or None. holed: materials with holes."""
+    lines: list[Any] = []
+    for name, picture in materials:
+        lines.append(_MTL.format(name) + (f"map_Kd {picture}\n" if picture else ""))
+        lines.append(f"map_d {picture}\n" if name in holed else "")
     return "".join(lines).encode("utf-8", "surrogateescape")

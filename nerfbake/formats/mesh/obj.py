@@ -30,7 +30,7 @@ from nerfbake import memory
 from nerfbake.contract import HEAD
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.mesh.colours import GREY, sound_colours
-from nerfbake.formats.mesh.mtl import Materials, encode_mtl
+from nerfbake.formats.mesh.mtl import Materials, Texture, encode_mtl
 from nerfbake.formats.mesh.words import words_of
 from nerfbake.formats.wire.picture import encode_picture
 from nerfbake.kernels.arrays import Floats, Ints
@@ -124,7 +124,7 @@ def _mesh(
     points: npt.NDArray[np.float32],
     paint: _Paint | None,
     places: Floats | None,
-    texture: npt.NDArray[np.uint8] | None,
+    texture: Texture | tuple[None, None],
 ) -> Mesh:
     """Return the mesh of these triangles. places: None if it has no texture coordinates."""
     vertex, place = corners.vertex[part].reshape(-1), corners.place[part].reshape(-1)
@@ -139,8 +139,9 @@ def _mesh(
             points[used],
             None if uvs is None else uvs.astype(np.float32),
             faces.reshape(-1, 3).astype(np.uint32),
-            texture,
-            None if paint is None else paint.of(used, textured=texture is not None),
+            texture[0],
+            None if paint is None else paint.of(used, textured=texture[0] is not None),
+            opaque=texture[1],
         )
 
 
@@ -424,19 +425,22 @@ def encode_files(
     A mesh without texture is an .obj alone. Raises InvalidScene for levels of detail.
     """
     _require_one_level(scene)
-    textures = [mesh.texture for mesh in scene.meshes]
+    textures = [mesh.texels for mesh in scene.meshes]
     if all(texture is None for texture in textures):
         yield ".obj", encode_obj(scene.meshes, origin=scene.origin)
         return
     ending = {"png": ".png", "jpeg": ".jpg"}[image]
+    if any(mesh.opaque is not None for mesh in scene.meshes):
+        ending = ".png"  # JPEG has no alpha
     pictures = [ending if len(textures) == 1 else f"_{number}{ending}" for number in range(len(textures))]
     names = [f"mesh_{number}" for number in range(len(textures))]
     yield ".obj", encode_obj(scene.meshes, f"{stem}.mtl", names, scene.origin)
     used = [None if each is None else stem + name for each, name in zip(textures, pictures, strict=True)]
-    yield ".mtl", [encode_mtl(list(zip(names, used, strict=True)))]
+    holed = [name for name, mesh in zip(names, scene.meshes, strict=True) if mesh.opaque is not None]
+    yield ".mtl", [encode_mtl(list(zip(names, used, strict=True)), holed)]
     for texture, name in zip(textures, pictures, strict=True):
         if texture is not None:
-            yield name, [encode_picture(texture, image)]
+            yield name, [encode_picture(texture, "png" if ending == ".png" else image)]
 
 
 def _require_one_level(scene: Meshes) -> None:

@@ -23,7 +23,7 @@ def codes_of(colours: npt.NDArray[np.uint8]) -> Codes:
     """(..., F) uint8 -> (...) codes: uint32 for up to four channels, else uint64."""
     F = colours.shape[-1]
     spread = _spread(F)
-    codes = spread[colours[..., 0]] << spread.dtype.type(F - 1)
+    codes: Codes = spread[colours[..., 0]] << spread.dtype.type(F - 1)
     for channel in range(1, F):
         codes |= spread[colours[..., channel]] << spread.dtype.type(F - 1 - channel)
     return codes

@@ -157,9 +157,9 @@ def _below(table: Floats, row: int, value: float, strictly: bool) -> int:
 def _is_opaque(holes: Holes, f: int, faces: npt.NDArray[np.uint32], u: float, v: float, w: float) -> bool:
     """Whether the texel of triangle f at these weights is there. The operations of Hits.uvs and nearest_texel()."""
     first, H, W = holes.masks[holes.owner[f], 0], holes.masks[holes.owner[f], 1], holes.masks[holes.owner[f], 2]
-    u, v, w = np.float32(u), np.float32(v), np.float32(w)
+    p, q, r = np.float32(u), np.float32(v), np.float32(w)
     a, b, c = holes.uvs[faces[f, 0]], holes.uvs[faces[f, 1]], holes.uvs[faces[f, 2]]
-    across, down = u * a[0] + v * b[0] + w * c[0], u * a[1] + v * b[1] + w * c[1]
+    across, down = p * a[0] + q * b[0] + r * c[0], p * a[1] + q * b[1] + r * c[1]
     x = int(np.float64(across - np.floor(across)) * W) % W
     y = int(np.float64(down - np.floor(down)) * H) % H
     return bool(holes.opaque[first + y * W + x])

@@ -62,14 +62,15 @@ def split_layers(
     between, middle_bias = np.zeros((len(middle), widest, widest), np.float32), np.zeros((len(middle), widest), np.float32)
     for k, weight in enumerate(middle):
         between[k] = padded(weight.T, widest, widest)
-    by_direction, bias = product(directions, w0[:3]), np.zeros(3, np.float32)
+    each, bias = product(directions, w0[:3]), np.zeros(3, np.float32)
     if biases:
-        by_direction += padded(biases[0], widest)
+        each += padded(biases[0], widest)
         for k in range(len(middle)):
             middle_bias[k] = padded(biases[1 + k], widest)
         bias = biases[-1]
-    by_direction = np.ascontiguousarray(by_direction.T, np.float32)
-    return SplitMlp(by_direction, np.ascontiguousarray(w0[3:]), between, middle_bias, np.ascontiguousarray(w1.T), bias)
+    by_direction = np.ascontiguousarray(each.T, np.float32)
+    by_feature, last = np.ascontiguousarray(w0[3:]), np.ascontiguousarray(w1.T)
+    return SplitMlp(by_direction, by_feature, between, middle_bias, last, bias)
 
 
 def evaluate(
@@ -189,7 +190,7 @@ def _show(feature: Singles, mlp: SplitMlp, hidden: Singles, out: Singles) -> Non
 
 @compiled(merged=True)
 def _from_feature(feature: Singles, by_feature: Singles, k: int) -> np.float32:
-    total = feature[0] * by_feature[0, k]
+    total: np.float32 = feature[0] * by_feature[0, k]
     for i in range(1, len(feature)):
         total += feature[i] * by_feature[i, k]
     return total
