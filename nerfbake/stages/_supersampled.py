@@ -9,8 +9,8 @@ from typing import TypeVar
 import numpy as np
 
 from nerfbake import memory, progress
-from nerfbake.kernels.soundness import MAX_EDGE
 from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.soundness import MAX_EDGE
 from nerfbake.scene.camera import Camera, require_samples
 from nerfbake.scene.image import Image
 

@@ -44,9 +44,7 @@ class Holes(NamedTuple):
 
 
 def no_holes() -> Holes:
-    return Holes(
-        np.zeros((0, 2), np.float32), np.zeros(0, np.int32), np.zeros((0, 3), np.int64), np.zeros(0, np.bool_)
-    )
+    return Holes(np.zeros((0, 2), np.float32), np.zeros(0, np.int32), np.zeros((0, 3), np.int64), np.zeros(0, np.bool_))
 
 
 def gbuffer(

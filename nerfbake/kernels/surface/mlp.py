@@ -59,7 +59,10 @@ def split_layers(
         return np.pad(array, [(0, size - given) for size, given in zip(shape, array.shape, strict=True)])
 
     w0, w1 = padded(w0, len(w0), widest), padded(w1, widest, 3)
-    between, middle_bias = np.zeros((len(middle), widest, widest), np.float32), np.zeros((len(middle), widest), np.float32)
+    between, middle_bias = (
+        np.zeros((len(middle), widest, widest), np.float32),
+        np.zeros((len(middle), widest), np.float32),
+    )
     for k, weight in enumerate(middle):
         between[k] = padded(weight.T, widest, widest)
     each, bias = product(directions, w0[:3]), np.zeros(3, np.float32)
