@@ -134,7 +134,8 @@ def mesh(
     Finds the surface of the PlenOctree, octree, volume, lattice or splats IN, simplifies it, and fits a texture to
     photographs (--views), or to pictures of IN. OUT is a .glb, an .obj with its .mtl and texture beside it, a .ply with
     colours at the vertices, or a folder without an extension: nerf2mesh's stage 1, with highlights, which `nerfbake
-    atlas`, `view` and `render` take. Prints PSNR, SSIM and silhouettes of OUT on held-out views.
+    atlas`, `view` and `render` take. If IN is such a folder, or MobileNeRF's, its texture becomes the mean colour over
+    all directions. Prints PSNR, SSIM and silhouettes of OUT on held-out views.
 
     \b
       nerfbake mesh chair.npz chair.glb

@@ -31,14 +31,16 @@ from nerfbake.jobs.photographs import (
     render_split,
     require_alike,
 )
-from nerfbake.jobs.readings import Reading, upright_without
+from nerfbake.jobs.readings import FIELDS, Reading, upright_without
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.views import picture_views
 from nerfbake.scene.environment import EnvironmentMap
 from nerfbake.scene.mesh import Mesh, Meshes
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.views import Views, world_box
+from nerfbake.stages.texture_to_vertices import colour_vertices
 from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views
 
 if TYPE_CHECKING:
@@ -222,7 +224,8 @@ def bake_mesh(
     """Turn a radiance field into a textured mesh and return the quality of its file. This is `nerfbake mesh`.
 
     Reads `source`, a PlenOctree, an octree, a volume with colours, a lattice or splats, of a scene with scenery the
-    inner cube, and the photographs of `pictures`. Without photographs, -y of splats becomes z, as in view_file().
+    inner cube, and the photographs of `pictures`. A stage-1 folder or MobileNeRF's is a mesh already: its texture
+    becomes the mean colour over all directions, as flatten_stage1() makes it, measured on pictures of `source`. Without photographs, -y of splats becomes z, as in view_file().
     Writes `target`: a file with one texture or with colours at the vertices, depending on its format, or a folder as
     nerf2mesh's stage 1, with the highlights that `nerfbake atlas` bakes. Raises NerfbakeError.
 
@@ -243,7 +246,14 @@ def bake_mesh(
     else:
         Budget(min_psnr=min_psnr).require(place)
     light = None if file.environment is None else _read_light(steps, Source(file.environment))
-    reading = Reading(steps, source, options=upright_without(pictures.views))
+    reading = Reading(steps, source, *FIELDS, Stage1, options=upright_without(pictures.views))
+    if isinstance(reading.scene, Stage1):
+        if isinstance(place, FolderTarget) or pictures.views or light is not None or options != MeshOptions():
+            raise UsageError(
+                f"{source.name} is a mesh already, which keeps its triangles and gets a texture of mean colours; allowed: "
+                "an OUT with an extension, `up`, `lit`, `image` and `min_psnr`"
+            )
+        return _flat(steps, source, place, reading.scene, pictures.edge, format_options, min_psnr, report)
     reading.use_inner_cube()
     field = reading.field(visible="no surface")
     splats = reading.shown if isinstance(reading.shown, Splats) else None
@@ -268,15 +278,54 @@ def bake_mesh(
             quality = replace(quality, lit=_lit(steps, source, written_mesh, split.held_out, light))
         levels = tuple(len(mesh.faces) for mesh in _levels(scene))
         found = MeshResult(place.path, str(loaded), written.size, levels, quality, worked, materials)
-        io.report_result(psnr=quality.psnr)
         if file.lit and light is None:
             steps.say(f"{place.path}: roughness is 1 everywhere: materials need a map of the light")
         for number, each in enumerate(materials):
             what = f"roughness {each.roughness:.2f}, specular strength {each.specular:.2f}"
             steps.say(f"{place.path}: material {number}: {each.share:.1%} of the texels, {what}")
-        steps.say(f"{place.path}: {quality}; after {worked:.0f} CPU seconds")
-        Budget(min_psnr=min_psnr).judge(quality.psnr, "the mesh has", quality.judged_on)
+        _tell_quality(steps, found, min_psnr)
     return found
+
+
+def _flat(
+    steps: Steps,
+    source: Source,
+    place: Target,
+    stage1: Stage1,
+    edge: int,
+    format_options: dict[str, Any],
+    min_psnr: float | None,
+    report: Callable[[MeshResult], None] | None,
+) -> MeshResult:
+    """Write a stage-1 scene's meshes with colours that do not depend on the direction, and measure the file."""
+    from nerfbake.stages.scene_to_cameras import orbit_cameras
+    from nerfbake.stages.stage1_to_meshes import flatten_stage1
+
+    with source.blamed(steps, f"rendering {FRAMES} pictures of {source.name}"):
+        cameras = orbit_cameras(stage1, frames=FRAMES, width=edge, height=edge)
+        held_out = picture_views(stage1, cameras, SAMPLES)
+    clock = Clock()
+    with source.blamed(steps, "averaging the colours of texels"):
+        scene = flatten_stage1(stage1)
+    if not io.format_for(place.path, "Meshes", to=place.to).choices("image"):
+        if any(mesh.opaque is not None for mesh in scene.meshes):
+            raise UsageError(f"{place.path} has no texture for the holes of {source.name}; allowed: .glb and .obj")
+        scene = Meshes(tuple(colour_vertices(mesh) for mesh in scene.meshes))
+    worked = clock.worked
+    reported = reporting(lambda: report(found) if report is not None else None)
+    with reported, place.writing(steps, scene, **format_options) as written:
+        loaded, quality = _judged(steps, place, written.path, held_out, f"{FRAMES} pictures of {source.name}")
+        counts = tuple(len(mesh.faces) for mesh in scene.meshes)
+        found = MeshResult(place.path, str(loaded), written.size, counts, quality, worked)
+        _tell_quality(steps, found, min_psnr)
+    return found
+
+
+def _tell_quality(steps: Steps, found: MeshResult, min_psnr: float | None) -> None:
+    """Print the quality of a mesh. Raises BudgetMissed."""
+    quality = found.quality
+    steps.say(f"{found.path}: {quality}; after {found.worked:.0f} CPU seconds")
+    Budget(min_psnr=min_psnr).judge(quality.psnr, "the mesh has", quality.judged_on)
 
 
 def mesh_target(target: AnyTarget | FolderTarget) -> Target | FolderTarget:
@@ -338,7 +387,6 @@ def build_mesh(
     from nerfbake.stages.field_to_surface import build_surface
     from nerfbake.stages.mesh_to_mesh import simplify_surface
     from nerfbake.stages.surface_to_charts import unwrap_surface
-    from nerfbake.stages.texture_to_vertices import colour_vertices
     from nerfbake.stages.views_to_specular import fit_specular
     from nerfbake.stages.views_to_texture import fit_texture
     from nerfbake.stages.views_to_vertices import move_vertices

@@ -14,6 +14,7 @@ from nerfbake.scene.origin import no_origin, origin_text
 from nerfbake.scene.page import COVER
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
+from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.origins import has_origin, origin_of
@@ -22,6 +23,7 @@ from nerfbake.stages.pictures_to_views import build_views
 from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scenes_to_comparison import compare_scenes
 from nerfbake.stages.splats_to_image import render_splats
+from nerfbake.stages.stage1_to_image import render_stage1
 
 
 def read_cameras(steps: Steps, path: str) -> Cameras:
@@ -98,13 +100,15 @@ def orbit_psnr(a: Any, b: Any, frames: int, edge: int) -> float:
     return float(compare_scenes(a, b, views, keep_pictures=False).means["a_b"]["psnr"])
 
 
-def picture_views(scene: RadianceField | Splats, cameras: Cameras, samples: int) -> Views:
-    """Render pictures of a field or of splats, with alpha, to which something else is fitted."""
+def picture_views(scene: RadianceField | Splats | Stage1, cameras: Cameras, samples: int) -> Views:
+    """Render pictures of a scene, with alpha, to which something else is fitted, or with which it is compared."""
 
     def pictures() -> Iterator[Any]:
         for camera in progress.each(cameras.cameras):
             if isinstance(scene, Splats):
                 yield render_splats(scene, camera, background=None).pixels
+            elif isinstance(scene, Stage1):
+                yield render_stage1(scene, camera, background=None, samples=samples).pixels
             else:
                 yield render_field(scene, camera, background=None, samples=samples).pixels
 

@@ -186,7 +186,14 @@ class PageSurface(CompactRepr):
     def highlights(self) -> tuple[str, ...]:
         """The available rendering methods, by their names in the page's shader."""
         atlas = tuple(atlas.method for atlas in self.atlases[:1])
+        if self.is_deep:
+            return (*atlas, "mlp_constants")
         return atlas + (("mlp_constants", "mlp_textures") if self.fields else ())
+
+    @property
+    def is_deep(self) -> bool:
+        """Whether the MLP is not nerf2mesh's, of three features and two layers without biases."""
+        return any(field.channels != 3 or bool(field.middle or field.biases) for field in self.fields[:1])
 
 
 COVER = 320  # default pixels along an edge of the cover

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.surface.normals import face_normals
-from nerfbake.kernels.surface.texture import bilinear
+from nerfbake.kernels.surface.texture import bilinear, nearest_texel
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Meshes
@@ -27,7 +27,7 @@ def render_meshes(
 ) -> Image:
     """Render opaque, two-sided triangles as seen by a camera, over a background (None: transparent).
 
-    Textures are interpolated bilinearly and not lit. A mesh without a texture is grey, or has its vertex colours, and
+    Textures are interpolated bilinearly, or with holes show the nearest texel, and are not lit. A mesh without a texture is grey, or has its vertex colours, and
     is lit from the camera; lit=False: its colours are radiance, and are shown as they are. Alpha is 0 or 1 for a ray,
     and depth is the distance along it. With one ray per pixel, edges are not smoothed; samples x samples rays are
     averaged as in render_field().
@@ -50,7 +50,10 @@ def surface_colours(hits: Hits, *, lit: bool = True) -> npt.NDArray[np.float32]:
     """Return sRGB colours (m, 3) in 0..1. The only part that depends on the view is the headlight."""
     mesh = hits.mesh
     if mesh.texture is not None:
-        colours = bilinear(mesh.texture, hits.uvs)
+        if mesh.opaque is None or mesh.texture.shape[:2] == (1, 1):
+            colours = bilinear(mesh.texture, hits.uvs)
+        else:  # colours of holes must not show
+            colours = nearest_texel(mesh.texture, hits.uvs) / np.float32(255)
         return colours if mesh.colours is None else colours * hits.mixed(mesh.colours)
     colours = np.full((len(hits.faces), 3), GREY) if mesh.colours is None else hits.mixed(mesh.colours)
     if not lit:

@@ -28,7 +28,7 @@ from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.scene.image import Depth, Image
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.schedule import parse_schedule
-from tests.support import captures, environments, nerfs
+from tests.support import captures, environments, mobilenerf_scenes, nerfs
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.camera_tools import TOOLS, kept_by, write_meshroom, write_metashape, write_metashape_project
 from tests.support.kplanes import kplanes, kplanes_file
@@ -109,6 +109,7 @@ def folders_of(name: str) -> tuple[Files, ...]:
     """Valid folders of a kind, as {file name: contents}."""
     makers = {
         "stage1": _stage1s,
+        "mobilenerf": _phones,
         "atlas": _atlases,
         "thesis": _theses,
         "plenvdb": _plenvdbs,
@@ -341,6 +342,17 @@ def _stage1s() -> Iterator[Files]:
     transforms = {"transforms_json": _encoded("json", next(iter(_pictures("Cameras"))))}
     yield _written_folder(**small)
     yield _written_folder(**small, **transforms, mlp_json=mlp_json(cascade=2), feat1_1_png=small["feat1_0_png"])
+
+
+def _phones() -> Iterator[Files]:
+    yield mobilenerf_scenes.phone_files()
+    parts = {
+        "shape0.obj": None,
+        "shape0_0.obj": mobilenerf_scenes.obj((0,)),
+        "shape0_1.obj": mobilenerf_scenes.obj((1,)),
+    }
+    yield mobilenerf_scenes.phone_files(**parts)
+    yield mobilenerf_scenes.phone_files(**{"shape0.obj": None})
 
 
 def _written_folder(**files: bytes) -> Files:

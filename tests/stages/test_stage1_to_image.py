@@ -14,18 +14,22 @@ from nerfbake import (
     Stage1,
     bake_stage1,
     compare_scenes,
+    flatten_stage1,
     orbit_cameras,
     render_meshes,
     render_stage1,
     sample_stage1,
 )
 from nerfbake.errors import InvalidScene
+from nerfbake.formats.mesh import mobilenerf
+from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.kernels.surface.mlp import evaluate
 from nerfbake.scene.atlas import METHODS, Method
 from nerfbake.scene.mesh import Mesh, Meshes
 from nerfbake.stages.stage1_to_image import surfaces
 from tests.support.atlas_scenes import field, looked_up, random_atlas, texture
 from tests.support.meshes import square, straight_down
+from tests.support.mobilenerf_scenes import phone_files, picture
 
 BLACK = np.zeros((2, 2, 3), np.uint8)
 
@@ -115,3 +119,45 @@ def test_without_a_mesh_there_is_no_picture(sample: Stage1) -> None:
     for meshes, named in (((None,), r"mesh_0\.obj is missing"), ((replace(mesh, texture=None),), "feat0_0 is missing")):
         with pytest.raises(InvalidScene, match=named):
             orbit_cameras(replace(sample, meshes=meshes))
+
+
+# -- MobileNeRF --------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def phone() -> Stage1:
+    return mobilenerf.decode({name: memoryview(data) for name, data in phone_files().items()})
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3])
+def test_mobilenerf_s_pictures_are_those_of_its_viewer(phone: Stage1, samples: int) -> None:
+    """Features, directions and holes, averaged before the MLP; a few rays meet another texel by rounding."""
+    for camera in orbit_cameras(phone, frames=3, width=40, height=30).cameras:
+        wanted, alpha = picture(camera, samples)
+        made = render_stage1(phone, camera, samples=samples)
+        right = np.abs(made.colour - wanted).max(axis=2) < 3e-6
+        assert right.mean() > 0.998
+        np.testing.assert_allclose(made.alpha[right], alpha[right], atol=1e-6)
+        assert 0.02 < (alpha > 0).mean() < 0.9
+        clear = render_stage1(phone, camera, samples=samples, background=None)
+        np.testing.assert_allclose(clear.over((1, 1, 1)).colour, made.colour, atol=1e-6)
+
+
+def test_averages_of_features_are_not_averages_of_colours(phone: Stage1) -> None:
+    (camera,) = orbit_cameras(phone, width=40, height=40).cameras
+    (fine,) = orbit_cameras(phone, width=80, height=80).cameras
+    colours = render_stage1(phone, fine).colour.reshape(40, 2, 40, 2, 3).mean(axis=(1, 3))
+    assert np.abs(render_stage1(phone, camera, samples=2).colour - colours).max() > 0.05
+
+
+def test_an_atlas_of_mobilenerf_has_its_holes(phone: Stage1) -> None:
+    atlas = bake_stage1(phone, clusters=598, map_size=32)
+    for camera in orbit_cameras(phone, frames=2, width=60, height=60).cameras:
+        shown, wanted = render_stage1(atlas, camera), render_stage1(phone, camera)
+        np.testing.assert_array_equal(shown.alpha, wanted.alpha)
+        assert np.abs(shown.colour - wanted.colour)[wanted.alpha > 0].mean() < 0.02
+
+
+def test_a_mesh_of_mobilenerf_has_the_mean_colour(phone: Stage1) -> None:
+    [field], [mesh] = phone.fields, flatten_stage1(phone, directions=20).meshes
+    means = evaluate(field.features[field.used] / 255, fibonacci(20), *field.mlp).mean(axis=2)
+    assert mesh.texture is not None
+    assert np.abs(mesh.texture[field.used] / 255 - means).max() < 0.5001 / 255 + 1e-6

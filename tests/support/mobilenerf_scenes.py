@@ -31,7 +31,7 @@ def layers(hidden: int = 16, seed: int = 0) -> dict[str, npt.NDArray[np.float32]
     sizes = (11, hidden, hidden, 3)
     made = {}
     for k in range(3):
-        made[f"{k}_weights"] = random.normal(0, 1, (sizes[k], sizes[k + 1])).astype(np.float32)
+        made[f"{k}_weights"] = random.normal(0, 0.5, (sizes[k], sizes[k + 1])).astype(np.float32)
         made[f"{k}_bias"] = random.normal(0, 0.5, sizes[k + 1]).astype(np.float32)
     return made
 

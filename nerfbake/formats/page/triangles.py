@@ -2,7 +2,9 @@
 
 Each part (a cascade or a mesh) has: positions (v, 3) float32, faces (t, 3) uint32, optionally uvs (v, 2) and colours
 (v, 3) float32, then its textures (H, W, 3) uint8 in the order of their names in the facts. If the page has an MLP, it
-follows all parts: a line for each hidden unit, (h, 6) and (h, 3) float32.
+follows all parts: a line for each hidden unit, (h, 6) and (h, 3) float32. An MLP with more layers, biases or features,
+as MobileNeRF's, has a line for each output of a layer, (out, in + 1) float32 with the bias last, layer after layer. Its
+features are in textures of three channels each, features0, features1, ...; the last one is filled up with 0.
 
 Four-byte numbers are stored column by column, each as the difference of its bits from those of the number before it,
 modulo 2^32: the lowest bytes of all numbers first, then the next ones. Texels are stored channel by channel, each as
@@ -22,6 +24,7 @@ import numpy.typing as npt
 from nerfbake.formats.atlas import folder as atlas_json
 from nerfbake.formats.atlas.folder import label_texels
 from nerfbake.formats.wire.deflate import deflate_whole
+from nerfbake.kernels.arrays import Singles
 from nerfbake.scene.atlas import OctahedralAtlas
 from nerfbake.scene.camera import WORLD
 from nerfbake.scene.mesh import Mesh, vertex_box
@@ -52,7 +55,8 @@ def triangle_facts(page: Page, *, at: int) -> dict[str, Any]:
         "at": at,
         "size": sum(array.nbytes for array in _arrays(parts)),
         "parts": [_part_facts(parts, i) for i in range(len(_meshes(parts)))],
-        "hidden": surface.fields[0].w0.shape[1] if surface and surface.fields else 0,
+        "hidden": surface.fields[0].w0.shape[1] if surface and surface.fields and not surface.is_deep else 0,
+        "layers": [[w.shape[1] - 1, len(w)] for w in _layers(surface)] if surface and surface.is_deep else [],
         "highlights": [*(surface.highlights if surface else ()), "none"],
         "composites": [] if surface else sorted(("stop", "ztest", "cutout"), key=lambda how: how != page.composite),
         "centre": centre.tolist(),
@@ -108,13 +112,23 @@ def _arrays(parts: Parts) -> Iterator[npt.NDArray[Any]]:
         yield from (array for array in (mesh.positions, mesh.faces, mesh.uvs, mesh.colours) if array is not None)
         yield from _textures(parts, i).values()
     if isinstance(parts, PageSurface) and parts.fields:
-        yield from (parts.fields[0].w0.T, parts.fields[0].w1)
+        yield from _layers(parts) if parts.is_deep else (parts.fields[0].w0.T, parts.fields[0].w1)
+
+
+def _layers(surface: PageSurface) -> list[Singles]:
+    """(out, in + 1) the weights of each layer of an MLP, and its biases in the last column."""
+    field = surface.fields[0]
+    layers = (field.w0, *field.middle, field.w1)
+    biases = field.biases or [np.zeros(weights.shape[1], np.float32) for weights in layers]
+    return [np.concatenate([w.T, b[:, None]], axis=1) for w, b in zip(layers, biases, strict=True)]
 
 
 def _textures(parts: Parts, i: int) -> dict[str, npt.NDArray[np.uint8]]:
     """The textures of a part, by their names in the shader."""
-    texture = _meshes(parts)[i].texture
+    texture, opaque = _meshes(parts)[i].texture, _meshes(parts)[i].opaque
     textures = {} if texture is None else {"diffuse": texture}
+    if opaque is not None:
+        textures |= {"opaque": np.where(opaque[..., None], np.full(3, 255, np.uint8), np.uint8(0))}
     if isinstance(parts, PageSurface) and parts.atlases:
         atlas = parts.atlases[i]
         textures |= {"atlas": atlas.image}
@@ -123,7 +137,12 @@ def _textures(parts: Parts, i: int) -> dict[str, npt.NDArray[np.uint8]]:
         if atlas.features is not None:
             textures |= {"atlasFeatures": atlas.features}
     if isinstance(parts, PageSurface) and parts.fields:
-        textures |= {"mlpFeatures": parts.fields[i].features}
+        features = parts.fields[i].features
+        if not parts.is_deep:
+            return textures | {"mlpFeatures": features}
+        padded = np.pad(features, ((0, 0), (0, 0), (0, -features.shape[2] % 3)))
+        for k in range(0, padded.shape[2], 3):
+            textures[f"features{k // 3}"] = np.ascontiguousarray(padded[..., k : k + 3])
     return textures
 
 

@@ -6,6 +6,8 @@
 //   KMEANS, AFFINE, GRID    the atlas, by its method
 //   MLP_TEXTURES            the MLP with a texture fetch for each weight, as in nerf2mesh's viewer
 //   MLP_CONSTANTS           the MLP as an unrolled function `mlp`, with its weights as constants
+// MLP_DEEP: this function takes texture coordinates instead of a feature, and reads the features itself. HOLES: some
+// parts have texels that rays pass through.
 
 in vec3 along;
 in vec2 place;
@@ -18,6 +20,7 @@ uniform sampler2D atlas;
 uniform sampler2D labels;
 uniform sampler2D atlasFeatures;
 uniform sampler2D mlpFeatures;
+uniform sampler2D opaque;  // 0 in holes
 uniform sampler2D weights0;  // (h, 6): for each hidden unit three for the direction, then three for the feature
 uniform sampler2D weights1;  // (h, 3)
 
@@ -48,6 +51,8 @@ vec3 specular(vec3 direction) {
   return specularAffine(atlas, labels, atlasFeatures, numbers, place, direction);
 #elif defined(GRID)
   return specularGrid(atlas, atlasFeatures, numbers, place, direction);
+#elif defined(MLP_DEEP)
+  return 1.0 / (1.0 + exp(-mlp(direction, place)));
 #elif defined(MLP_TEXTURES) || defined(MLP_CONSTANTS)
   return 1.0 / (1.0 + exp(-mlp(direction, texture(mlpFeatures, place).rgb)));
 #else
@@ -58,6 +63,9 @@ vec3 specular(vec3 direction) {
 void main() {
   float distance = length(along);
   vec3 direction = along / distance, across = cross(dFdx(along), dFdy(along));
+#ifdef HOLES
+  if (texture(opaque, place).r < 0.5) discard;
+#endif
   float facing = abs(dot(across, direction)) / max(length(across), 1e-30);
   vec3 base = texture(diffuse, place).rgb * share * mix(1.0, AMBIENT + (1.0 - AMBIENT) * facing, lit);
   colour = vec4(clamp(base + specular(direction), 0.0, 1.0), 1.0);

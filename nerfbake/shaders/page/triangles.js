@@ -27,8 +27,9 @@ function* texelsOf(bytes, count) {
 }
 
 // Unpack all parts. facts.triangles: parts [{vertices, faces: their numbers; uvs, colours: whether they exist;
-// textures: {name: [width, height]}; atlas: its numbers}], hidden: hidden units of the MLP.
-function* trianglesOf(bytes, { parts, hidden, size }) {
+// textures: {name: [width, height]}; atlas: its numbers}], hidden: hidden units of the MLP, layers: [inputs, outputs] of
+// an MLP of another kind.
+function* trianglesOf(bytes, { parts, hidden, layers, size }) {
   let at = 0;
   const take = (length) => bytes.subarray(at, (at += length));
   const words = function* (rows, columns) {
@@ -46,20 +47,23 @@ function* trianglesOf(bytes, { parts, hidden, size }) {
   }
   const floats = (array) => new Float32Array(array.buffer);
   const weights = hidden ? { weights0: floats(yield* words(hidden, 6)), weights1: floats(yield* words(hidden, 3)) } : {};
-  return { parts: found, weights };
+  const deep = [];
+  for (const [inputs, outputs] of layers) deep.push({ inputs, outputs, table: floats(yield* words(outputs, inputs + 1)) });
+  return { parts: found, weights, deep };
 }
 
 // -- on the graphics card ------------------------------------------------------------------------------------------
-const UNITS = { diffuse: 8, atlas: 9, labels: 10, atlasFeatures: 11, mlpFeatures: 12, weights0: 13, weights1: 14 };
+const UNITS = { diffuse: 8, atlas: 9, labels: 10, atlasFeatures: 11, mlpFeatures: 12, weights0: 13, weights1: 14, features0: 12, features1: 13, features2: 14, opaque: 15 };
 const COLOUR_UNIT = 6, FAR_UNIT = 7; // texture units of what is drawn
 const MOST_RAYS = 1 << 22; // drawn at a time, 12 bytes each
 const PRECISIONS = ["float", "int", "sampler2D"].map((name) => `precision highp ${name};\n`).join("");
 
 class Triangles {
-  constructor(gl, facts, { parts, weights }) {
+  constructor(gl, facts, { parts, weights, deep }) {
     this.gl = gl;
     this.facts = facts;
     this.weights = weights;
+    this.deep = deep;
     this.programs = {};
     this.room = null; // the framebuffer and its textures
     const { triangles } = facts, most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
@@ -87,7 +91,7 @@ class Triangles {
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, part.faces, gl.STATIC_DRAW);
     gl.bindVertexArray(null);
     for (const [name, texels] of Object.entries(part.textures)) {
-      const [width, height] = facts.textures[name], smooth = name === "diffuse" || name === "atlas";
+      const [width, height] = facts.textures[name], smooth = (name === "diffuse" && !part.textures.opaque) || name === "atlas";
       textures[name] = this.texture(width, height, texels, smooth ? gl.LINEAR : gl.NEAREST, name === "atlas" ? gl.CLAMP_TO_EDGE : gl.REPEAT);
     }
     return { array, textures, count: part.faces.length, atlas: facts.atlas, coloured: facts.colours };
@@ -122,8 +126,9 @@ class Triangles {
   programFor(highlights) {
     if (this.programs[highlights]) return this.programs[highlights];
     const { gl } = this, { shaders } = this.facts.triangles;
-    const own = highlights === "mlp_constants" ? unrolled(this.weights) : "";
-    const text = `#version 300 es\n${PRECISIONS}#define ${highlights.toUpperCase()}\n${shaders.atlas}${own}${shaders.mesh}`;
+    const own = highlights !== "mlp_constants" ? "" : this.deep.length ? unrolledLayers(this.deep) : unrolled(this.weights);
+    const holes = this.parts.some((part) => part.textures.opaque) ? "#define HOLES\n" : "";
+    const text = `#version 300 es\n${PRECISIONS}#define ${highlights.toUpperCase()}\n${holes}${shaders.atlas}${own}${shaders.mesh}`;
     const program = linked(gl, begun(gl, shaders.vertex, text, ["position", "uv", "tint"])), names = {};
     const uniform = (name) => (names[name] ??= gl.getUniformLocation(program, name));
     gl.useProgram(program);
@@ -167,7 +172,7 @@ class Triangles {
   }
 
   drawPart({ array, textures, count, atlas, coloured }, uniform) {
-    const { gl } = this, held = { diffuse: this.white, ...textures, ...this.tables };
+    const { gl } = this, held = { diffuse: this.white, opaque: this.white, ...textures, ...this.tables };
     for (const [name, texture] of Object.entries(held)) {
       gl.activeTexture(gl.TEXTURE0 + UNITS[name]);
       gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -214,4 +219,28 @@ function unrolled({ weights0, weights1 }) {
     return `  sum += max(${hidden}, 0.0) * ${vector(weights1, 3 * unit)};\n`;
   });
   return `vec3 mlp(vec3 d, vec3 f) {\n  vec3 sum = vec3(0.0);\n${lines.join("")}  return sum;\n}\n`;
+}
+
+// An MLP of any layers as a GLSL function: four units of a layer are a vec4. It reads three features of each texture.
+function unrolledLayers(layers) {
+  const number = (value) => value.toExponential(9), textures = Math.ceil((layers[0].inputs - 3) / 3);
+  const names = Array.from({ length: textures }, (_, i) => `features${i}`);
+  const declared = names.map((name) => `uniform sampler2D ${name};\n`).join("");
+  const read = names.map((name, i) => `  vec3 f${i} = texture(${name}, at).rgb;\n`).join("");
+  const given = [..."xyz"].map((axis) => `d.${axis}`).concat(Array.from({ length: layers[0].inputs - 3 }, (_, i) => `f${Math.floor(i / 3)}.${"rgb"[i % 3]}`));
+  const lines = [];
+  let inputs = given;
+  layers.forEach(({ outputs, table }, layer) => {
+    const width = inputs.length + 1, next = [], last = layer === layers.length - 1;
+    for (let first = 0; first < outputs; first += 4) {
+      const rows = [0, 1, 2, 3].map((i) => first + i);
+      const column = (i) => `vec4(${rows.map((row) => (row < outputs ? number(table[row * width + i]) : "0.0"))})`;
+      const terms = inputs.map((input, i) => `${column(i)} * ${input}`), name = `h${layer}_${first / 4}`;
+      const sum = [column(inputs.length), ...terms].join(" + ");
+      lines.push(`  vec4 ${name} = ${last ? sum : `max(${sum}, 0.0)`};\n`);
+      next.push(...[..."xyzw"].slice(0, outputs - first).map((axis) => `${name}.${axis}`));
+    }
+    inputs = next;
+  });
+  return `#define MLP_DEEP\n${declared}vec3 mlp(vec3 d, vec2 at) {\n${read}${lines.join("")}  return vec3(${inputs});\n}\n`;
 }
