@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Floats, Ints, Singles, f32
 from nerfbake.kernels.compiled import compiled_fill_basis
-from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.jit import borrowed, compiled
 from nerfbake.kernels.maths.elementary import exp, log
 from nerfbake.kernels.parallel import on_every_core
 from nerfbake.kernels.splat.backward import SUMS
@@ -33,6 +33,9 @@ _BETA1, _BETA2 = 0.9, 0.999
 _EPSILON = 1e-15
 _FADES = 10_000  # steps after which the factors are 1
 _CHUNK = 1024  # splats of a task
+
+Triple = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 
 
 class Entries(NamedTuple):
@@ -109,11 +112,33 @@ def _take_steps(
     own, total, basis = np.zeros(moments.first.shape[1], np.float32), np.zeros(SUMS), np.zeros(splats.sh.shape[1])
     n = len(row_of)
     for chunk in range(core, (n + _CHUNK - 1) // _CHUNK, cores):
-        for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)):
-            row = row_of[i]
-            if row >= 0 and _sum_entries(entries, row, total):
-                _gradient(splats, eye, antialiased, rows, row, i, total, basis, own)
-                _step(splats, i, own, moments, sizes)
+        part = chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)
+        _take_steps_of(part, splats, eye, antialiased, rows, row_of, entries, moments, sizes, own, total, basis)
+
+
+@compiled()
+def _take_steps_of(
+    part: tuple[int, int],
+    splats: SplatArrays,
+    eye: Eye,
+    antialiased: bool,
+    rows: Singles,
+    row_of: npt.NDArray[np.int32],
+    entries: Entries,
+    moments: Moments,
+    sizes: StepSizes,
+    own: Singles,
+    total: Floats,
+    basis: Floats,
+) -> None:
+    """Take the steps of the splats from part[0] to part[1]. own, total and basis are buffers."""
+    splats, eye, rows, row_of = borrowed((splats, eye, rows, row_of))  # else each merged function counts references
+    entries, moments, sizes, own, total, basis = borrowed((entries, moments, sizes, own, total, basis))
+    for i in range(part[0], part[1]):
+        row = row_of[i]
+        if row >= 0 and _sum_entries(entries, row, total):
+            _gradient(splats, eye, antialiased, rows, row, i, total, basis, own)
+            _step(splats, i, own, moments, sizes)
 
 
 @compiled(merged=True)
@@ -164,19 +189,7 @@ def _gradient(
     p1, q1 = s1 * (u0 * r10 + u1 * r11 + u2 * r12), s1 * (v0 * r10 + v1 * r11 + v2 * r12)
     p2, q2 = s2 * (u0 * r20 + u1 * r21 + u2 * r22), s2 * (v0 * r20 + v1 * r21 + v2 * r22)
     sharp_xx, sharp_xy, sharp_yy = p0 * p0 + p1 * p1 + p2 * p2, p0 * q0 + p1 * q1 + p2 * q2, q0 * q0 + q1 * q1 + q2 * q2
-    sharp = max(sharp_xx * sharp_yy - sharp_xy * sharp_xy, 0.0)
-    det = sharp + BLUR * (sharp_xx + sharp_yy) + BLUR * BLUR
-    xx, xy, yy = (sharp_yy + BLUR) / det, -sharp_xy / det, (sharp_xx + BLUR) / det
-    # The inverse covariance K: the error changes by -K g K with the covariance, for g that with K.
-    gxx, gxy, gyy = -0.5 * total[3], -0.5 * total[4], -0.5 * total[5]
-    kx0, kx1 = xx * gxx + xy * gxy, xx * gxy + xy * gyy
-    ky0, ky1 = xy * gxx + yy * gxy, xy * gxy + yy * gyy
-    hxx, hxy, hyy = -(kx0 * xx + kx1 * xy), -(kx0 * xy + kx1 * yy), -(ky0 * xy + ky1 * yy)
-    if antialiased and sharp > LEAST_SHARE * det:
-        half = 0.5 * whole
-        hxx += half * (sharp_yy / sharp - xx)
-        hxy += half * (-sharp_xy / sharp - xy)
-        hyy += half * (sharp_xx / sharp - yy)
+    xx, xy, yy, hxx, hxy, hyy = _covariance_slopes(sharp_xx, sharp_xy, sharp_yy, total, antialiased)
     dp0, dq0 = 2 * (hxx * p0 + hxy * q0), 2 * (hxy * p0 + hyy * q0)
     dp1, dq1 = 2 * (hxx * p1 + hxy * q1), 2 * (hxy * p1 + hyy * q1)
     dp2, dq2 = 2 * (hxx * p2 + hxy * q2), 2 * (hxy * p2 + hyy * q2)
@@ -185,13 +198,7 @@ def _gradient(
     d00, d01, d02 = dp0 * u0 + dq0 * v0, dp0 * u1 + dq0 * v1, dp0 * u2 + dq0 * v2
     d10, d11, d12 = dp1 * u0 + dq1 * v0, dp1 * u1 + dq1 * v1, dp1 * u2 + dq1 * v2
     d20, d21, d22 = dp2 * u0 + dq2 * v0, dp2 * u1 + dq2 * v1, dp2 * u2 + dq2 * v2
-    gw = 2 * (c * (d01 - d10) + b * (d20 - d02) + a * (d12 - d21))
-    ga = 2 * (b * (d01 + d10) + c * (d02 + d20) + w * (d12 - d21) - 2 * a * (d11 + d22))
-    gb = 2 * (a * (d01 + d10) + c * (d12 + d21) + w * (d20 - d02) - 2 * b * (d00 + d22))
-    gc = 2 * (a * (d02 + d20) + b * (d12 + d21) + w * (d01 - d10) - 2 * c * (d00 + d11))
-    along = gw * w + ga * a + gb * b + gc * c  # the length of a quaternion has no effect
-    out[QUAT], out[QUAT + 1] = gw - along * w, ga - along * a
-    out[QUAT + 2], out[QUAT + 3] = gb - along * b, gc - along * c
+    _write_quaternion_slopes((w, a, b, c), (d00, d01, d02), (d10, d11, d12), (d20, d21, d22), out)
     out[OPACITY] = whole * (1 - np.float64(splats.opacity[i]))
     # The rows of J W, then the centre.
     du0, du1, du2 = (
@@ -217,6 +224,46 @@ def _gradient(
         out[MEAN + k] = gx * turn[0, k] + gy * turn[1, k] + gz * turn[2, k]
     per = 1 / sqrt(dx * dx + dy * dy + dz * dz)
     compiled_fill_basis(dx * per, dy * per, dz * per, len(basis), basis)
+    _write_colour_slopes(rows, row, total, basis, out)
+
+
+@compiled(merged=True)
+def _covariance_slopes(sharp_xx: float, sharp_xy: float, sharp_yy: float, total: Floats, antialiased: bool) -> Any:
+    """Return the inverse covariance K in the picture, and the slopes of the error along the sharp covariance.
+
+    The error changes by -K g K with the covariance, for g that with K.
+    """
+    sharp = max(sharp_xx * sharp_yy - sharp_xy * sharp_xy, 0.0)
+    det = sharp + BLUR * (sharp_xx + sharp_yy) + BLUR * BLUR
+    xx, xy, yy = (sharp_yy + BLUR) / det, -sharp_xy / det, (sharp_xx + BLUR) / det
+    gxx, gxy, gyy = -0.5 * total[3], -0.5 * total[4], -0.5 * total[5]
+    kx0, kx1 = xx * gxx + xy * gxy, xx * gxy + xy * gyy
+    ky0, ky1 = xy * gxx + yy * gxy, xy * gxy + yy * gyy
+    hxx, hxy, hyy = -(kx0 * xx + kx1 * xy), -(kx0 * xy + kx1 * yy), -(ky0 * xy + ky1 * yy)
+    if antialiased and sharp > LEAST_SHARE * det:
+        half = 0.5 * total[0]
+        hxx += half * (sharp_yy / sharp - xx)
+        hxy += half * (-sharp_xy / sharp - xy)
+        hyy += half * (sharp_xx / sharp - yy)
+    return xx, xy, yy, hxx, hxy, hyy
+
+
+@compiled(merged=True)
+def _write_quaternion_slopes(quat: Quaternion, d0: Triple, d1: Triple, d2: Triple, out: Singles) -> None:
+    """Write the slopes along a unit quaternion from those along the rows of its rotation."""
+    (w, a, b, c), (d00, d01, d02), (d10, d11, d12), (d20, d21, d22) = quat, d0, d1, d2
+    gw = 2 * (c * (d01 - d10) + b * (d20 - d02) + a * (d12 - d21))
+    ga = 2 * (b * (d01 + d10) + c * (d02 + d20) + w * (d12 - d21) - 2 * a * (d11 + d22))
+    gb = 2 * (a * (d01 + d10) + c * (d12 + d21) + w * (d20 - d02) - 2 * b * (d00 + d22))
+    gc = 2 * (a * (d02 + d20) + b * (d12 + d21) + w * (d01 - d10) - 2 * c * (d00 + d11))
+    along = gw * w + ga * a + gb * b + gc * c  # the length of a quaternion has no effect
+    out[QUAT], out[QUAT + 1] = gw - along * w, ga - along * a
+    out[QUAT + 2], out[QUAT + 3] = gb - along * b, gc - along * c
+
+
+@compiled(merged=True)
+def _write_colour_slopes(rows: Singles, row: int, total: Floats, basis: Floats, out: Singles) -> None:
+    """Write the slopes along the coefficients; a channel that is clamped to 0 has none."""
     red = total[6] if rows[row, RED] > 0 else 0.0
     green = total[7] if rows[row, GREEN] > 0 else 0.0
     blue = total[8] if rows[row, BLUE] > 0 else 0.0
