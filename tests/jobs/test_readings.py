@@ -118,8 +118,10 @@ def test_every_command_takes_every_scene(scene: str, command: str, tmp_path: Pat
 def test_splats_are_converted_to_the_octree_of_svo_with_their_axis(tmp_path: Path) -> None:
     made = jobs.convert_file("ball.ply", tmp_path / "a.svo.npz", choice=jobs.GridChoice(in_up="y"))
     same = jobs.bake_octree("ball.ply", tmp_path / "b.svo.npz", options=jobs.ReadingOptions(in_up="y"))
+    assert isinstance(made, SparseVoxelOctree)
     assert_same_octree(made, same)
     kept = jobs.convert_file("ball.ply", tmp_path / "c.svo.npz")
+    assert isinstance(kept, SparseVoxelOctree)
     assert (kept.node_data[-8:] != same.node_data[-8:]).any()
     with pytest.raises(UsageError, match="`in_up` is 'w'; allowed: x, -x, y, -y, z, -z"):
         jobs.convert_file("ball.ply", tmp_path / "d.svo.npz", choice=jobs.GridChoice(in_up="w"))
