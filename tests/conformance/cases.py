@@ -6,6 +6,7 @@ from tests.conformance import (
     atlases,
     cameras,
     compressed,
+    functions,
     lattices,
     meshes,
     n3trees,
@@ -18,6 +19,19 @@ from tests.conformance import (
 
 CASES = [
     case
-    for family in (octrees, voxels, compressed, n3trees, volumes, pictures, cameras, meshes, splats, atlases, lattices)
+    for family in (
+        octrees,
+        voxels,
+        compressed,
+        n3trees,
+        volumes,
+        pictures,
+        cameras,
+        meshes,
+        splats,
+        atlases,
+        lattices,
+        functions,
+    )
     for case in family.cases()
 ]

@@ -25,7 +25,7 @@ from nerfbake.formats.wire.torch_writer import torch_file
 from nerfbake.formats.wire.zstd import compress
 from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
 from nerfbake.scene.mesh import Mesh, Meshes
-from tests.support import environments, merf, snerg
+from tests.support import environments, kplanes, merf, nerfstudio, snapshots, snerg, torch_ngp
 from tests.support.atlas_scenes import mlp_json
 from tests.support.meshes import polygon_ply
 from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
@@ -242,7 +242,32 @@ def _nsvf() -> Files:
 
 
 # By format of the catalog: the name of a file or folder, and what writes it.
+# -- networks --------------------------------------------------------------------------------------------------
+def _halves() -> bytes:
+    """A table in halves, which are widened."""
+    root = nerfstudio.nerfacto("torch", log2=20)
+    key = "_model.field.mlp_base.model.0.hash_table"
+    root["pipeline"][key] = root["pipeline"][key].astype(np.float16)
+    return nerfstudio.nerfstudio_file(root)
+
+
+def _kplanes() -> bytes:
+    root = kplanes.kplanes()
+    shapes = {f"_model.field.grids.0.plane_coefs.{c}": (kplanes.CHANNELS, 1000, 1000) for c in range(3)}
+    root["pipeline"] |= {key: np.ones(shape, np.float32) for key, shape in shapes.items()}
+    return kplanes.kplanes_file(root)
+
+
 FILES: dict[str, dict[str, Maker]] = {
+    "ckpt": {
+        "torch.ckpt": _bytes(lambda: nerfstudio.nerfstudio_file(nerfstudio.nerfacto("torch", log2=20))),
+        "halves.ckpt": _bytes(_halves),
+        "planes.ckpt": _bytes(_kplanes),
+    },
+    "ingp": {"packed.ingp": _bytes(lambda: gzip.compress(snapshots.snapshot_file(snapshots.snapshot(128)), 1))},
+    "msgpack": {"bare.msgpack": _bytes(lambda: snapshots.snapshot_file(snapshots.snapshot(128)))},
+    "pth": {"bits.pth": _bytes(lambda: torch_ngp.torch_ngp_file(torch_ngp.torch_ngp(128.0, occupied=[1], log2=20)))},
+    "nerfstudio": {"run": _folder(lambda: nerfstudio.run_files(nerfstudio.nerfacto("torch", log2=20)))},
     "svoq": {"range.svoq": _svoq("range"), "deflate.svoq": _svoq("deflate")},
     "json": {"many.json": _bytes(_transforms)},
     "pt": {"level.pt": _bytes(_svraster)},

@@ -10,7 +10,7 @@ import numpy as np
 from nerfbake.formats.wire.torch_writer import ordered, torch_file
 
 LEVELS, FEATURES, LOG2, BASE, MOST = 3, 2, 13, 16, 64
-WIDTH, HEAD, APPEARANCE = 16, 32, 5
+WIDTH, HEAD, APPEARANCE = 16, 16, 5
 GROWTH = float(np.exp((np.log(MOST) - np.log(BASE)) / (LEVELS - 1)))
 KEYS = {
     "torch": ("mlp_base.model.0.hash_table", "mlp_base.model.1.layers", "mlp_head.layers"),
@@ -52,23 +52,25 @@ def tcnn_levels(levels: int, log2: int, base: int, growth: float) -> list[tuple[
     return found
 
 
-def nerfacto(layout: str = "torch", *, appearance: int = APPEARANCE, prefix: str = "_model.") -> dict[str, Any]:
+def nerfacto(
+    layout: str = "torch", *, appearance: int = APPEARANCE, prefix: str = "_model.", log2: int = LOG2
+) -> dict[str, Any]:
     """The root of a checkpoint."""
     grid, trunk, head = KEYS[layout]
     inputs, coded = LEVELS * FEATURES, 31 + appearance
     state: dict[str, Any] = {"aabb": np.array([[-1, -1, -1], [1, 1, 1]], np.float32)}
     if layout != "tcnn 0.1":
-        state |= {key: np.array(value) for key, value in SIZES.items()}
+        state |= {key: np.array(value) for key, value in (SIZES | {"log2_hashmap_size": log2}).items()}
     if appearance:
         state["embedding_appearance.embedding.weight"] = random(3, appearance, seed=5)
     if layout.startswith("torch"):
-        state[grid] = random(LEVELS << LOG2, FEATURES)
+        state[grid] = random(LEVELS << log2, FEATURES)
         for name, layers in ((trunk, [(WIDTH, inputs), (16, WIDTH)]), (head, [(HEAD, coded), (HEAD, HEAD), (3, HEAD)])):
             for k, shape in enumerate(layers):
                 state[f"{name}.{k}.weight"] = random(*shape, seed=10 + k)
                 state[f"{name}.{k}.bias"] = random(shape[0], seed=20 + k)
     else:
-        rows = sum(rows for *_, rows in tcnn_levels(LEVELS, LOG2, BASE, GROWTH))
+        rows = sum(rows for *_, rows in tcnn_levels(LEVELS, log2, BASE, GROWTH))
         table = random(rows * FEATURES)
         network = random(sum(a * b for a, b in tcnn_shapes(inputs, WIDTH, 1, 16)), seed=10)
         state |= {grid: table, trunk: network} if grid else {trunk: np.concatenate([network, table])}
@@ -119,7 +121,7 @@ def run_files(root: dict[str, Any] | None = None, **settings: Any) -> dict[str, 
 
 
 # -- the formulas, in the order of the program -----------------------------------------------------------------
-def torch_grid(table: Any, x: Any) -> Any:
+def torch_grid(table: Any, x: Any, log2: int = LOG2) -> Any:
     """(m, L F): floor and ceil of x times the level's resolution; all levels are hashed, in 64 bits."""
     growth = np.exp((np.log(MOST) - np.log(BASE)) / (LEVELS - 1))
     sizes = np.floor(BASE * np.float32(growth) ** np.arange(LEVELS, dtype=np.float32))
@@ -132,7 +134,7 @@ def torch_grid(table: Any, x: Any) -> Any:
         for corner in product((0, 1), repeat=3):
             at = np.where(corner, high, low)
             row = at[:, 0] ^ at[:, 1] * 2654435761 ^ at[:, 2] * 805459861
-            row = level * (1 << LOG2) + row % (1 << LOG2)
+            row = level * (1 << log2) + row % (1 << log2)
             value += table[row] * np.where(corner, weight, 1 - weight).prod(axis=1, keepdims=True)
         found.append(value)
     return np.concatenate(found, axis=1)
@@ -219,15 +221,16 @@ def reference(layout: str, root: dict[str, Any], points: Any, d: Any, appearance
     grid, trunk, head = KEYS[layout]
     state = {key.partition("field.")[2]: value for key, value in root["pipeline"].items()}
     seen = np.broadcast_to(appearance, (len(points), len(appearance)))
+    log2 = int(state.get("log2_hashmap_size", LOG2))
     if layout.startswith("torch"):
-        h = torch_mlp(state, trunk, 2, torch_grid(state[grid], points))
+        h = torch_mlp(state, trunk, 2, torch_grid(state[grid], points, log2))
         code = polynomials((d + 1) / 2, signs=False)
         logits = torch_mlp(state, head, 3, np.concatenate([code, h[:, 1:], seen], axis=1))
     else:
         numbers = sum(a * b for a, b in tcnn_shapes(LEVELS * FEATURES, WIDTH, 1, 16))
         table, network = (state[grid], state[trunk]) if grid else (state[trunk][numbers:], state[trunk][:numbers])
         fill = 1.0 if grid else 0.0
-        h = tcnn_mlp(network, tcnn_grid(table, points), width=WIDTH, hidden=1, outputs=16, fill=fill)
+        h = tcnn_mlp(network, tcnn_grid(table, points, log2=log2), width=WIDTH, hidden=1, outputs=16, fill=fill)
         inputs = np.concatenate([polynomials(d, signs=True), h[:, 1:], seen], axis=1)
         logits = tcnn_mlp(state[head], inputs, width=HEAD, hidden=2, outputs=3)
     return np.exp(h[:, 0]), 1 / (1 + np.exp(-logits))

@@ -10,7 +10,7 @@ import numpy as np
 from nerfbake.scene.camera import look_at
 from tests.support.nerfstudio import polynomials, random, tcnn_grid, tcnn_levels, tcnn_mlp, tcnn_shapes
 
-LEVELS, FEATURES, LOG2, BASE, WIDTH, HEAD = 3, 4, 8, 5, 16, 32
+LEVELS, FEATURES, LOG2, BASE, WIDTH, HEAD = 3, 4, 7, 5, 16, 16
 CELLS = 128**3
 SCALE, OFFSET = 0.25, (0.5, 0.375, 0.625)
 

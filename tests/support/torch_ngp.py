@@ -14,18 +14,18 @@ LEVELS, LOG2, BASE = 3, 13, 16
 CELLS = 128**3
 
 
-def torch_ngp(bound: float = 2.0, *, occupied: Any = None) -> dict[str, Any]:
+def torch_ngp(bound: float = 2.0, *, occupied: Any = None, log2: int = LOG2) -> dict[str, Any]:
     """The root of a checkpoint. occupied: numbers of cells of the bitfield; None: without occupancy."""
     growth, offsets = np.exp2(np.log2(2048 * bound / BASE) / (LEVELS - 1)), [0]
     for level in range(LEVELS):
         nodes = int(np.ceil(BASE * growth**level)) + 1
-        offsets.append(offsets[-1] + int(np.ceil(min(1 << LOG2, nodes**3) / 8) * 8))
+        offsets.append(offsets[-1] + int(np.ceil(min(1 << log2, nodes**3) / 8) * 8))
     state = {
         "aabb_train": np.array([-bound] * 3 + [bound] * 3, np.float32),
         "encoder.embeddings": random(offsets[-1], 2),
         "encoder.offsets": np.array(offsets, np.int32),
     }
-    shapes = {"sigma_net": [(32, 2 * LEVELS), (16, 32)], "color_net": [(32, 31), (32, 32), (3, 32)]}
+    shapes = {"sigma_net": [(16, 2 * LEVELS), (16, 16)], "color_net": [(16, 31), (16, 16), (3, 16)]}
     for stem, layers in shapes.items():
         state |= {f"{stem}.{k}.weight": random(*shape, seed=40 + k) for k, shape in enumerate(layers)}
     if occupied is not None:

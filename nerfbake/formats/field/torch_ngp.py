@@ -22,6 +22,7 @@ import math
 
 import numpy as np
 
+from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.field import tcnn
 from nerfbake.formats.field.occupied_cells import CELLS, EDGE, nested_cubes
@@ -157,5 +158,6 @@ def _occupancy(model: TorchModel, bound: float) -> Occupancy | None:
         found = f"has dtype {stored.dtype}, shape {stored.shape}"
         allowed = f"uint8 ({cascades * CELLS // 8:,},), for {cascades} cubes of {EDGE}^3"
         raise InvalidFile(Problem("density_bitfield", found, allowed))
+    memory.hold("the occupancy", cascades * CELLS)
     flags = np.unpackbits(stored, bitorder="little").view(bool).reshape(cascades, CELLS)
     return nested_cubes(flags, 0.0, [min(float(1 << c), bound) for c in range(cascades)])

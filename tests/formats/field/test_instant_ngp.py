@@ -197,7 +197,7 @@ REFUSED: dict[str, tuple[tuple[str, ...], Any, str]] = {
     ),
     "another activation": (("network", "activation"), "SnakeAct", "network.activation is SnakeAct; allowed: relu"),
     "wider layers": (("network", "n_neurons"), 64, "snapshot.params_binary has"),
-    "too few parameters": (("snapshot", "params_binary"), bytes(20), "has 10 numbers; allowed: 5,"),
+    "too few parameters": (("snapshot", "params_binary"), bytes(20), "has 10 numbers; allowed: 3,072"),
     "parameters that are text": (("snapshot", "params_binary"), "abc", "snapshot.params_binary is text"),
     "parameters of 8 bits": (("snapshot", "params_type"), "fp8", "snapshot.params_type is fp8"),
     "half a number": (("snapshot", "params_binary"), bytes(21), "has 21 bytes; allowed: a multiple of 2"),

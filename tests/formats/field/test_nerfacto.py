@@ -242,7 +242,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "no field": ({"pipeline": {"_model.mlp.weight": np.zeros(1, np.float32)}}, "holds a model that is not known (mlp)"),
     "an appearance of another width": (
         _with("torch", embedding_appearance__embedding__weight=np.zeros((2, 7), np.float32)),
-        "is 36 x 32 x 32 x 3, after 6 x 16 x 16; allowed: 16 + 15 + 7 inputs",
+        "is 36 x 16 x 16 x 3, after 6 x 16 x 16; allowed: 16 + 15 + 7 inputs",
     ),
 }
 

@@ -112,7 +112,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         "shape (8,); allowed: uint8 (524,288,)",
     ),
     "colours of other inputs": (
-        _with(color_net__0__weight=np.zeros((32, 32), np.float32)),
+        _with(color_net__0__weight=np.zeros((16, 32), np.float32)),
         "color_net takes 32 inputs",
     ),
     "a number for a layer": (_with(sigma_net__0__weight=np.float32(1)), "has weights of shapes"),
