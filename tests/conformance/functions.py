@@ -39,9 +39,9 @@ def cases() -> Iterator[Case]:
     yield Case("function/snapshot", about, files, _facts(snapshots.reference, world), answer, computed=1e-4)
     about = "A checkpoint as torch-ngp writes it with torch; its world is 0.33 times the cameras'."
     small = torch_ngp.torch_ngp(1.0, log2=4)
-    data = torch_ngp.torch_ngp_file(small)
+    whole = torch_ngp.torch_ngp_file(small)
     facts = _facts(lambda q, d: torch_ngp.reference(small, q, d, 1.0), 0.33 * np.eye(3, 4)[[1, 2, 0]])
-    files = {"function/torch_ngp.pth": Frozen(_form("pth", "torch_ngp"), None, data=data)}
+    files = {"function/torch_ngp.pth": Frozen(_form("pth", "torch_ngp"), None, data=whole)}
     yield Case("function/torch_ngp", about, files, facts, answer, computed=1e-4)
 
 

@@ -27,7 +27,7 @@ def parameters(A: int = 2) -> tuple[Any, Any, Any]:
     first = sum(a * b for a, b in tcnn_shapes(LEVELS * FEATURES, WIDTH, 1, 16))
     second = sum(a * b for a, b in tcnn_shapes(32, HEAD, 2, 3))
     sizes = first, second, rows * FEATURES
-    return tuple(random(size, seed=30 + k).astype(np.float16).astype(np.float32) for k, size in enumerate(sizes))  # type: ignore[return-value]
+    return tuple(random(size, seed=30 + k).astype(np.float16).astype(np.float32) for k, size in enumerate(sizes))
 
 
 def snapshot(

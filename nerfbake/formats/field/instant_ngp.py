@@ -47,7 +47,7 @@ _OUTPUTS, _CODE = 16, 16
 _MOST_SCALE = 128
 _FINEST = 2048.0  # nodes of the last level along the unit cube
 _LEAST = 0.01  # optical thickness of a step through an occupied cell
-_TYPES = {"__half": np.dtype("<f2"), "half": np.dtype("<f2"), "float": np.dtype("<f4")}
+_TYPES: dict[str, np.dtype[Any]] = {"__half": np.dtype("<f2"), "half": np.dtype("<f2"), "float": np.dtype("<f4")}
 _KEYS = ("dir_encoding", "distortion_map", "encoding", "envmap", "loss", "network", "parent", "rgb_network", "snapshot")
 _STARTS = tuple(bytes([0xA0 + len(key)]) + key.encode() for key in _KEYS)  # text of MessagePack
 

@@ -85,7 +85,7 @@ def _head(model: TorchModel, appearance: Singles) -> Mlp:
 
 def _planes(model: TorchModel, *, concatenated: bool) -> PlaneProducts:
     """Read the planes of all scales, with the channels last."""
-    found, nodes = [], []
+    found, nodes = list[list[Singles]](), list[tuple[int, int, int]]()
     for s in range(MAX_LEVELS):
         if _PLANES.format(s, 0) not in model.state:
             break

@@ -85,6 +85,9 @@ def is_instant_ngp(model: TorchModel) -> bool:
 
 def field_of_nerfacto(model: TorchModel, run: Run) -> FunctionField:
     """Return the field of a model. Raises InvalidFile, MemoryLimit."""
+    if any(key.startswith(grid) for key in model.state for grid in _GRIDS):
+        found = "is an instant-ngp of nerfstudio before 0.3, which contracts space with another norm"
+        raise InvalidFile(Problem("pipeline", found, f"one with {_GRIDS[0]}.{_BINARIES}"))
     appearance = mean_appearance(model, _APPEARANCE)
     if not run.flag("use_average_appearance_embedding", True):
         appearance = np.zeros_like(appearance)

@@ -69,7 +69,7 @@ def cameras_of(dataset: dict[str, Any], frame: Floats) -> Cameras | None:
 def _camera(xform: dict[str, Any], facts: dict[str, Any], i: int) -> dict[str, Any] | None:
     """Return the arguments of a camera in the trained coordinates; None for a lens that Lens does not describe."""
     place = f"{DATASET}.metadata[{i}]"
-    lens = next((facts[key] for key in _LENS if facts.get(key) is not None), {})
+    lens: Any = next((facts[key] for key in _LENS if facts.get(key) is not None), {})
     if not isinstance(lens, dict):
         raise InvalidFile(Problem(f"{place}.lens", f"is {kind_of(lens)}", "an object"))
     if any(key in lens for key in _NO_LENS):

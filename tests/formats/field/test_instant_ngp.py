@@ -74,7 +74,8 @@ def test_containers_give_the_same_field(container: str, field: FunctionField) ->
     if container == "JSON":
         stored = root["snapshot"]
         stored["params_binary"] = {"bytes": list(stored["params_binary"]), "subtype": None}
-    packed = {"gzip": gzip.compress, "zlib": zlib.compress}.get(container, bytes)(snapshot_file(root))
+    packers: dict[str, Any] = {"gzip": gzip.compress, "zlib": zlib.compress}
+    packed = packers.get(container, bytes)(snapshot_file(root))
     assert reader.recognise(memoryview(packed)) == (container != "zlib")
     found = reader.decode(memoryview(packed))
     assert_array_equal(found.density(POINTS)[0], field.density(POINTS)[0])
@@ -85,7 +86,8 @@ def test_files_are_found_by_their_contents_too(tmp_path: Path) -> None:
     for name in ("a.ingp", "a.msgpack", "a", "a.ingp.gz"):
         (tmp_path / name).write_bytes(data)
         assert load(tmp_path / name, FunctionField).dialect == "instant-ngp"
-    assert not any(map(reader.recognise, map(memoryview, (b"", b"\x1f\x8b\x08", b"\x85\xa9optimizer", b"\x80"))))
+    for other in (b"", b"\x1f\x8b\x08", b"\x85\xa9optimizer", b"\x80"):
+        assert not reader.recognise(memoryview(other))
 
 
 def test_cells_are_in_morton_order_and_cascades_are_nested() -> None:

@@ -19,6 +19,7 @@ from nerfbake.kernels.maths.affine import rotate, transform_points
 from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.memory import memory_limit
 from tests.support.hostile import refused_as_it_is
+from tests.support.nerfs import vanilla_nerf, vanilla_nerf_file
 from tests.support.nerfstudio import (
     APPEARANCE,
     KEYS,
@@ -68,6 +69,19 @@ def test_a_real_run_has_the_answers_of_the_program(data: Path, given: str) -> No
     assert_allclose(trained.colour(features, answers["dirs"].astype(np.float64)), answers["rgb"], atol=1e-6)
     back = rotate(answers["points"][:50] - field.frame[:, 3], field.frame[:, :3].T / field.scale**2)
     assert_allclose(field.density(back)[0], field.scale * answers["density"][:50], rtol=2e-3)  # float32 positions
+
+
+@pytest.mark.data
+def test_cameras_of_a_real_capture_are_where_the_program_had_them(data: Path, tmp_path: Path) -> None:
+    folder = data / "fields" / "nerfacto_object"
+    files = {name: (folder / name).read_bytes() for name in ("config.yml", "dataparser_transforms.json")}
+    files["transforms.json"] = (folder / "capture_transforms.json").read_bytes()
+    files["nerfstudio_models/step-000000001.ckpt"] = nerfstudio_file()
+    cameras = load(written(tmp_path, files), FunctionField).in_trained_world().cameras
+    assert cameras is not None
+    found = np.stack([camera.pose[:3] for camera in cameras.cameras])
+    for pose in np.load(folder / "answers.npz")["all_c2w"]:  # of the 22 pictures that it was trained with
+        assert np.abs(found - pose).max(axis=(1, 2)).min() < 1e-6
 
 
 @pytest.mark.parametrize("layout", KEYS)
@@ -174,6 +188,15 @@ def test_a_run_is_its_last_checkpoint_with_its_files(tmp_path: Path) -> None:
     ]
 
 
+def test_files_of_a_run_also_count_for_vanilla_nerf(tmp_path: Path) -> None:
+    files = run_files(collider_params="{far_plane: 3.0, near_plane: 1.0}", background_color="black")
+    files["nerfstudio_models/step-000000009.ckpt"] = vanilla_nerf_file(vanilla_nerf())
+    field = load(written(tmp_path, files), FunctionField)
+    assert (field.dialect, field.near, field.far, field.background) == ("vanilla-nerf", 1.0, 3.0, (0.0, 0.0, 0.0))
+    assert field.scale == pytest.approx(0.5)
+    assert_allclose(field.box, [[-0.75] * 3, [0.75] * 3])
+
+
 def test_the_world_is_that_of_the_cameras() -> None:
     """transform and scale hold what ns-process-data had applied before; cameras are after it."""
     frame = '"frames": [{"file_path": "a.png", "transform_matrix": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]}]'
@@ -240,6 +263,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "no head": (_without("mlp_head.tcnn_encoding.params"), "has no field.mlp_head.tcnn_encoding.params"),
     "no box": (_without("aabb"), "has no field.aabb"),
     "no field": ({"pipeline": {"_model.mlp.weight": np.zeros(1, np.float32)}}, "holds a model that is not known (mlp)"),
+    "instant-ngp with an older occupancy": (
+        {"pipeline": nerfacto("tcnn 0.1")["pipeline"] | {"_model.occupancy_grid._binary": np.zeros((2, 2, 2), bool)}},
+        "is an instant-ngp of nerfstudio before 0.3",
+    ),
     "an appearance of another width": (
         _with("torch", embedding_appearance__embedding__weight=np.zeros((2, 7), np.float32)),
         "is 36 x 16 x 16 x 3, after 6 x 16 x 16; allowed: 16 + 15 + 7 inputs",
