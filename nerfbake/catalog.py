@@ -167,6 +167,7 @@ FOLDERS = (
     FolderKind("mobilenerf", "Stage1", "mesh.mobilenerf", "MobileNeRF's folder", _MOBILE, writable=False),
     FolderKind("atlas", "BakedAtlas", "atlas.folder", "octahedral atlas", key="atlas.json"),
     FolderKind("thesis", "BakedAtlas", "atlas.thesis", "the thesis' atlas", key="octahedron_maps.png", writable=False),
+    FolderKind("nerfstudio", "FunctionField", "field.nerfstudio_run", "nerfstudio's run", "config.yml", writable=False),
     FolderKind("transforms", "Cameras", "camera.transforms_folder", "capture's cameras", key="transforms.json"),
     FolderKind("colmap", "Cameras", "camera.colmap", "COLMAP model", "sparse/0/images.bin", _COLMAP),
     FolderKind("llff", "Cameras", "camera.llff", "LLFF's poses", "poses_bounds.npy", _LLFF, writable=False),
@@ -174,7 +175,6 @@ FOLDERS = (
     FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", key="finedensity.vdb"),
     FolderKind("merf", "LatticeField", "field.merf", "MERF's folder", _BLOCKS, _BAKED, writable=False),
     FolderKind("sog_folder", "Splats", "splat.sog_folder", "folder of a .sog", "meta.json", _SOG, writable=False),
-    FolderKind("nerfstudio", "FunctionField", "field.nerfstudio_run", "nerfstudio's run", "config.yml", writable=False),
     FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", _BAKED, writable=False),
 )
 

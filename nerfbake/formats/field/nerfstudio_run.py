@@ -13,7 +13,7 @@ from typing import Protocol
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.field.nerfstudio import field_of
-from nerfbake.formats.field.run_files import RunFolder, read_run
+from nerfbake.formats.field.run_files import CONFIG, WORLD, RunFolder, read_run
 from nerfbake.scene.function_field import FunctionField
 
 _MODELS = "nerfstudio_models"
@@ -28,7 +28,8 @@ class ListedFolder(RunFolder, Protocol):
 
 
 def recognise(files: ListedFolder) -> bool:
-    return bool(_steps(files)) or "config.yml" in files
+    """Return whether the folder has a checkpoint, or the files that lie beside them."""
+    return bool(_steps(files)) or (CONFIG in files and WORLD in files)
 
 
 def decode(files: ListedFolder) -> FunctionField:

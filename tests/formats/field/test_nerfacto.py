@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import FunctionField, load
+from nerfbake import Cameras, FunctionField, load
 from nerfbake.errors import NerfbakeError
 from nerfbake.formats.field import nerfstudio as reader
 from nerfbake.formats.field.nerfacto import field_of_nerfacto
@@ -77,7 +77,10 @@ def test_cameras_of_a_real_capture_are_where_the_program_had_them(data: Path, tm
     files = {name: (folder / name).read_bytes() for name in ("config.yml", "dataparser_transforms.json")}
     files["transforms.json"] = (folder / "capture_transforms.json").read_bytes()
     files["nerfstudio_models/step-000000001.ckpt"] = nerfstudio_file()
-    cameras = load(written(tmp_path, files), FunctionField).in_trained_world().cameras
+    field = load(written(tmp_path, files))  # a run, although it has a transforms.json
+    assert isinstance(field, FunctionField)
+    assert len(load(tmp_path, Cameras).cameras) == 24
+    cameras = field.in_trained_world().cameras
     assert cameras is not None
     found = np.stack([camera.pose[:3] for camera in cameras.cameras])
     for pose in np.load(folder / "answers.npz")["all_c2w"]:  # of the 22 pictures that it was trained with
