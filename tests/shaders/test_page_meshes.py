@@ -38,12 +38,14 @@ from nerfbake import (
     scatter_cameras,
     weigh_leaves,
 )
+from nerfbake.formats.mesh import mobilenerf
 from nerfbake.scene.atlas import METHODS, Method
 from nerfbake.scene.camera import look_at
 from tests.support.atlas_scenes import field as specular_field
 from tests.support.atlas_scenes import texture
 from tests.support.browser import Browser, Seen
 from tests.support.meshes import cube, sphere, square
+from tests.support.mobilenerf_scenes import phone_files
 
 pytestmark = [pytest.mark.tools, pytest.mark.slow]
 EDGE = 120
@@ -335,4 +337,20 @@ def test_triangles_stand_behind_compressed_data_and_coarser_levels(browser: Brow
         assert error(page.pixels(camera, rays=2), wanted).mean() <= 10**-3.0
         page.ask("nerfbake.panel.choose(1)")
         assert error(page.pixels(camera, rays=2), wanted).mean() <= 10**-1.5
+        assert page.log == []
+
+
+# -- MobileNeRF ----------------------------------------------------------------------------------------------------
+def test_mobilenerf_s_mlp_and_holes_are_what_python_renders(browser: Browser, folder: Path) -> None:
+    scene = mobilenerf.decode({name: memoryview(data) for name, data in phone_files().items()})
+    path, cameras = folder / "phone.html", orbit_cameras(scene, width=40, height=40)
+    save(path, Page(build_page_surface(scene), None, cameras, render_stage1(scene, cameras.cameras[0]), "Quads"))
+    with browser.opened(path) as page:
+        page.wait_until_ready()
+        assert page.ask("nerfbake.facts.triangles.highlights") == ["mlp_constants", "none"]
+        for camera in views(scene):
+            apart = error(page.pixels(camera, highlights="mlp_constants"), render_stage1(scene, camera))
+            rim = apart > 0.001
+            assert rim.mean() < 0.03  # rays at the edges of texels
+            assert apart[~rim].mean() <= 10**-5
         assert page.log == []

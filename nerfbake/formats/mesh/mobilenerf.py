@@ -2,7 +2,7 @@
 
 | file | content |
 |---|---|
-| shape{i}.obj | quads of two triangles, with 17x17 texels each; or shape{i}_{j}.obj, j = 0, 1, ...: parts of one shape |
+| shape{i}.obj, or shape{i}_{j}.obj, j = 0, 1, ...: parts of one shape | quads of two triangles, 17x17 texels each |
 | shape{i}.pngfeat0.png, .pngfeat1.png | RGBA: features 1 to 4, and 5 to 8. Where red of the first is 0 is a hole |
 | mlp.json | {0,1,2}_weights [in][out] and {0,1,2}_bias; obj_num, the number of shapes |
 
