@@ -52,8 +52,8 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     "Making textured meshes": (
         nerfbake,
         "stages.field_to_surface stages.mesh_to_mesh stages.views_to_vertices stages.surface_to_charts"
-        " stages.views_to_texture stages.views_to_specular stages.texture_to_vertices stages.stage1_to_meshes scene.environment"
-        " stages.views_and_light_to_materials",
+        " stages.views_to_texture stages.views_to_specular stages.texture_to_vertices scene.environment"
+        " stages.views_and_light_to_materials stages.stage1_to_meshes",
     ),
     "Gaussian splats": (
         nerfbake,

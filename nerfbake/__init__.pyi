@@ -97,7 +97,7 @@ from .stages.stage1_to_atlas import measure_atlas_error as measure_atlas_error
 from .stages.stage1_to_atlas import measure_stage1_error as measure_stage1_error
 from .stages.stage1_to_atlas import weigh_directions as weigh_directions
 from .stages.stage1_to_image import render_stage1 as render_stage1
-from .stages.stage1_to_meshes import flatten_stage1 as flatten_stage1
+from .stages.stage1_to_meshes import colour_meshes as colour_meshes
 from .stages.stage1_to_page_surface import build_page_surface as build_page_surface
 from .stages.surface_to_charts import unwrap_surface as unwrap_surface
 from .stages.texture_to_vertices import colour_vertices as colour_vertices

@@ -224,8 +224,9 @@ def bake_mesh(
     """Turn a radiance field into a textured mesh and return the quality of its file. This is `nerfbake mesh`.
 
     Reads `source`, a PlenOctree, an octree, a volume with colours, a lattice or splats, of a scene with scenery the
-    inner cube, and the photographs of `pictures`. A stage-1 folder or MobileNeRF's is a mesh already: its texture
-    becomes the mean colour over all directions, as flatten_stage1() makes it, measured on pictures of `source`. Without photographs, -y of splats becomes z, as in view_file().
+    inner cube, and the photographs of `pictures`. Without photographs, -y of splats becomes z, as in view_file(). A
+    stage-1 folder, or MobileNeRF's, is a mesh already: its texture becomes the mean colour over all directions, as
+    colour_meshes() makes it, measured on pictures of `source`.
     Writes `target`: a file with one texture or with colours at the vertices, depending on its format, or a folder as
     nerf2mesh's stage 1, with the highlights that `nerfbake atlas` bakes. Raises NerfbakeError.
 
@@ -250,8 +251,8 @@ def bake_mesh(
     if isinstance(reading.scene, Stage1):
         if isinstance(place, FolderTarget) or pictures.views or light is not None or options != MeshOptions():
             raise UsageError(
-                f"{source.name} is a mesh already, which keeps its triangles and gets a texture of mean colours; allowed: "
-                "an OUT with an extension, `up`, `lit`, `image` and `min_psnr`"
+                f"{source.name} is a mesh already, which keeps its triangles and gets a texture of mean colours; "
+                "allowed: an OUT with an extension, `up`, `lit`, `image` and `min_psnr`"
             )
         return _flat(steps, source, place, reading.scene, pictures.edge, format_options, min_psnr, report)
     reading.use_inner_cube()
@@ -299,17 +300,19 @@ def _flat(
 ) -> MeshResult:
     """Write a stage-1 scene's meshes with colours that do not depend on the direction, and measure the file."""
     from nerfbake.stages.scene_to_cameras import orbit_cameras
-    from nerfbake.stages.stage1_to_meshes import flatten_stage1
+    from nerfbake.stages.stage1_to_meshes import colour_meshes
 
     with source.blamed(steps, f"rendering {FRAMES} pictures of {source.name}"):
         cameras = orbit_cameras(stage1, frames=FRAMES, width=edge, height=edge)
         held_out = picture_views(stage1, cameras, SAMPLES)
     clock = Clock()
     with source.blamed(steps, "averaging the colours of texels"):
-        scene = flatten_stage1(stage1)
+        scene = colour_meshes(stage1)
     if not io.format_for(place.path, "Meshes", to=place.to).choices("image"):
         if any(mesh.opaque is not None for mesh in scene.meshes):
-            raise UsageError(f"{place.path} has no texture for the holes of {source.name}; allowed: .glb and .obj")
+            raise UsageError(
+                f"{place.path} has no texture for the holes of {source.name}; allowed: a format with textures"
+            )
         scene = Meshes(tuple(colour_vertices(mesh) for mesh in scene.meshes))
     worked = clock.worked
     reported = reporting(lambda: report(found) if report is not None else None)

@@ -63,7 +63,7 @@ def _means(fine: Image, N: int) -> Image:
 
 
 def block_means(fine: Singles, N: int) -> Floats:
-    """(H, W, ...) means of each N x N of (H N, W N, ...). The order of the sums is fixed: every CPU has the same bits."""
+    """(H, W, ...) means of each N x N of (H N, W N, ...), with sums in a fixed order, the same on every CPU."""
     total = np.zeros((len(fine) // N, fine.shape[1] // N, *fine.shape[2:]))
     for y, x in product(range(N), range(N)):
         total += fine[y::N, x::N]

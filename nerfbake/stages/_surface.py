@@ -56,7 +56,7 @@ def shade_surfaces(
     return Image(seen.values, seen.alpha, seen.depth, background)
 
 
-class Seen(NamedTuple):
+class SurfaceView(NamedTuple):
     """What the rays of a picture meet; values and depth are 0 where they meet nothing."""
 
     values: Singles  # (H, W, channels)
@@ -66,7 +66,7 @@ class Seen(NamedTuple):
 
 def look_at_surfaces(
     meshes: Sequence[Mesh], camera: Camera, values: Callable[[int, Hits], Singles], *, channels: int
-) -> Seen:
+) -> SurfaceView:
     """Return what a camera sees. values(i, hits) returns the numbers (m, channels) of mesh i in these pixels."""
     camera.require_memory(_PIXEL_BYTES + 4 * max(channels - 3, 0))
     shape = (camera.height, camera.width)
@@ -88,11 +88,11 @@ def look_at_surfaces(
         hits = Hits(mesh, triangle[pixels] - first[i], weights[pixels], directions[pixels])
         found.reshape(-1, channels)[pixels] = values(i, hits)
     depth = np.where(hit, seen.distance, 0).astype(np.float32)
-    return Seen(found, hit.astype(np.float32), depth)
+    return SurfaceView(found, hit.astype(np.float32), depth)
 
 
 def _holes_of(meshes: Sequence[Mesh], first: Ints) -> gbuffer.Holes | None:
-    """Return the holes of all meshes; None if there are none. first: the index of each mesh's first face, and the end."""
+    """Return the holes of all meshes; None if there are none. first: each mesh's first face, and the end."""
     if all(mesh.opaque is None for mesh in meshes):
         return None
     uvs = [np.zeros((len(mesh.positions), 2), np.float32) if mesh.uvs is None else mesh.uvs for mesh in meshes]

@@ -27,10 +27,10 @@ def render_meshes(
 ) -> Image:
     """Render opaque, two-sided triangles as seen by a camera, over a background (None: transparent).
 
-    Textures are interpolated bilinearly, or with holes show the nearest texel, and are not lit. A mesh without a texture is grey, or has its vertex colours, and
-    is lit from the camera; lit=False: its colours are radiance, and are shown as they are. Alpha is 0 or 1 for a ray,
-    and depth is the distance along it. With one ray per pixel, edges are not smoothed; samples x samples rays are
-    averaged as in render_field().
+    Textures are interpolated bilinearly, or with holes show the nearest texel, and are not lit. A mesh without a
+    texture is grey, or has its vertex colours, and is lit from the camera; lit=False: its colours are radiance, and are
+    shown as they are. Alpha is 0 or 1 for a ray, and depth is the distance along it. With one ray per pixel, edges are
+    not smoothed; samples x samples rays are averaged as in render_field().
 
     >>> import numpy as np
     >>> from nerfbake import Mesh, Meshes, orbit_cameras, render_meshes

@@ -15,7 +15,7 @@ from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages._supersampled import block_means, in_parts, mean_depth, supersampled
-from nerfbake.stages._surface import Hits, Seen, look_at_surfaces, shade_surfaces
+from nerfbake.stages._surface import Hits, SurfaceView, look_at_surfaces, shade_surfaces
 from nerfbake.stages.meshes_to_image import surface_colours
 
 
@@ -82,7 +82,7 @@ def _deferred(
         features = nearest_texel(stage1.fields[shape].features, hits.uvs) / np.float32(255)
         return np.concatenate([hits.directions, features], axis=1).astype(np.float32)
 
-    def shade(seen: Seen, N: int) -> Image:
+    def shade(seen: SurfaceView, N: int) -> Image:
         alpha, depth = mean_depth(seen.alpha, seen.depth, N)
         given, colour = block_means(seen.values, N), np.zeros((*alpha.shape, 3), np.float32)
         there = alpha > 0

@@ -19,14 +19,14 @@ from nerfbake.stages.stage1_to_image import surfaces
 _TEXEL_BYTES, _COLOUR_BYTES = 60, 140  # per texel of the texture, and per distinct colour of the features
 
 
-def flatten_stage1(stage1: Stage1, *, directions: int = 100) -> Meshes:
+def colour_meshes(stage1: Stage1, *, directions: int = 100) -> Meshes:
     """Return the meshes with the mean colour of each texel over evenly spread directions as their texture.
 
     The texture has the size of the features. Texels that no triangle shows are black. Raises InvalidScene if a mesh or
     its texture is missing, MemoryLimit.
 
-    >>> from nerfbake import flatten_stage1, sample_stage1
-    >>> print(flatten_stage1(sample_stage1(resolution=16)))
+    >>> from nerfbake import colour_meshes, sample_stage1
+    >>> print(colour_meshes(sample_stage1(resolution=16)))
     mesh of 9,216 triangles over 4,753 vertices
     """
     parts = list(zip(surfaces(stage1), stage1.fields, strict=True))

@@ -13,8 +13,8 @@ from nerfbake import (
     BakedAtlas,
     Stage1,
     bake_stage1,
+    colour_meshes,
     compare_scenes,
-    flatten_stage1,
     orbit_cameras,
     render_meshes,
     render_stage1,
@@ -157,7 +157,7 @@ def test_an_atlas_of_mobilenerf_has_its_holes(phone: Stage1) -> None:
 
 
 def test_a_mesh_of_mobilenerf_has_the_mean_colour(phone: Stage1) -> None:
-    [field], [mesh] = phone.fields, flatten_stage1(phone, directions=20).meshes
+    [field], [mesh] = phone.fields, colour_meshes(phone, directions=20).meshes
     means = evaluate(field.features[field.used] / 255, fibonacci(20), *field.mlp).mean(axis=2)
     assert mesh.texture is not None
     assert np.abs(mesh.texture[field.used] / 255 - means).max() < 0.5001 / 255 + 1e-6

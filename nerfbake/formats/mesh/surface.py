@@ -40,9 +40,7 @@ def encode_surface(
     if mesh is None or f"mesh_{cascade}.obj" in files:
         return
     yield f"mesh_{cascade}.obj", encode_obj([mesh], f"mesh_{cascade}.mtl", [_MATERIAL])
-    yield (
-        f"mesh_{cascade}.mtl",
-        [encode_mtl([(_MATERIAL, f"feat0_{cascade}.png")], (_MATERIAL,) if mesh.opaque is not None else ())],
-    )
+    holed = () if mesh.opaque is None else (_MATERIAL,)
+    yield f"mesh_{cascade}.mtl", [encode_mtl([(_MATERIAL, f"feat0_{cascade}.png")], holed)]
     if mesh.texels is not None:
         yield f"feat0_{cascade}.png", [encode_texture(mesh.texels)]

@@ -1,10 +1,11 @@
 """The MLP of a specular field for many colours in many directions: sigmoid(relu([d, f] W0) W1) for nerf2mesh.
 
-MobileNeRF's has more features, a layer in between, and biases. The first layer is linear before its ReLU, so it splits: d W0[:3] is computed once per direction, f W0[3:] once per
-colour, and each pair requires only one addition per hidden unit. The fast version processes the directions of a colour
-in vector registers, four hidden units per pass, with a separate exponential: 143 million pairs (1.43 million colours,
-100 directions, 32 hidden units) take 0.47 s on 2 cores of an AMD EPYC with AVX-512, and 2.8 s in plain code. Nothing
-may be reordered, fused or approximated, as with fastmath, so the last bit is the same on every CPU.
+MobileNeRF's has more features, a layer in between, and biases. The first layer is linear before its ReLU, so it splits:
+d W0[:3] is computed once per direction, f W0[3:] once per colour, and each pair requires only one addition per hidden
+unit. The fast version processes the directions of a colour in vector registers, four hidden units per pass, with a
+separate exponential: 143 million pairs (1.43 million colours, 100 directions, 32 hidden units) take 0.47 s on 2 cores
+of an AMD EPYC with AVX-512, and 2.8 s in plain code. Nothing may be reordered, fused or approximated, as with fastmath,
+so the last bit is the same on every CPU.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _BIAS, _MANTISSA = np.int32(127), np.int32(23)
 
 
 class SplitMlp(NamedTuple):
-    """The MLP for a set of n directions. All layers have h hidden units: a multiple of 4, padded with weights of zero."""
+    """The MLP for a set of n directions. Layers have h hidden units, padded with zeros to a multiple of 4."""
 
     by_direction: Singles  # (h, n), with the bias
     by_feature: Singles  # (F, h)

@@ -15,7 +15,7 @@ from nerfbake.formats.wire.picture import encode_texture
 from nerfbake.scene.mesh import Mesh, Meshes
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages.stage1_to_atlas import bake_stage1
-from nerfbake.stages.stage1_to_meshes import flatten_stage1
+from nerfbake.stages.stage1_to_meshes import colour_meshes
 from tests.support.mobilenerf_scenes import EDGE, QUADS, layers, mlp_json, obj, phone_files, phone_folder, textures
 
 
@@ -84,7 +84,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("changes, problem", WRONG.values(), ids=WRONG)
+@pytest.mark.parametrize(("changes", "problem"), WRONG.values(), ids=WRONG)
 def test_a_wrong_mlp_is_one_line(changes: dict[str, Any], problem: str) -> None:
     with pytest.raises(NerfbakeError) as caught:
         read(**{"mlp.json": mlp_json(**changes)})
@@ -113,7 +113,7 @@ FILES: dict[str, tuple[dict[str, bytes | None], str]] = {
 }
 
 
-@pytest.mark.parametrize("files, problem", FILES.values(), ids=FILES)
+@pytest.mark.parametrize(("files", "problem"), FILES.values(), ids=FILES)
 def test_wrong_files_are_one_line(files: dict[str, bytes | None], problem: str) -> None:
     with pytest.raises(NerfbakeError) as caught:
         read(**files)
@@ -140,7 +140,7 @@ def test_nerf2mesh_s_files_cannot_store_it() -> None:
 
 @pytest.mark.parametrize("ending", [".glb", ".obj"])
 def test_holes_survive_in_the_files_of_meshes(tmp_path: Path, ending: str) -> None:
-    made = flatten_stage1(read())
+    made = colour_meshes(read())
     io.save(tmp_path / f"a{ending}", made)
     [mesh], [wanted] = io.load(tmp_path / f"a{ending}", Meshes).meshes, made.meshes
     np.testing.assert_array_equal(mesh.opaque, wanted.opaque)
