@@ -43,7 +43,7 @@ def test_every_array_is_what_the_files_say() -> None:
     for corner, along, down in QUADS:
         for point in (corner, corner + along, corner + down, corner + along + down):
             assert np.abs(corners - point).max(axis=1).min() < 1e-6
-    first = mesh.uvs[np.abs(mesh.positions - QUADS[0, 0]).max(axis=1) < 1e-6] * EDGE
+    first = mesh.require_uvs()[np.abs(mesh.positions - QUADS[0, 0]).max(axis=1) < 1e-6] * EDGE
     np.testing.assert_allclose(first, [[0.5, 0.5]], atol=1e-4)  # the middle of the upper left texel
 
 
