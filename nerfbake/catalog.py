@@ -108,7 +108,7 @@ class Dialect(NamedTuple):
         return cast(contract.WrittenDialect, self.load_module())
 
 
-AnyFormat = Format | FolderKind | Dialect
+AnyFormat = Format | FolderKind
 
 _OCTREE = "SparseVoxelOctree"
 
@@ -402,9 +402,9 @@ def dialects_in(files: contract.HeadedFiles) -> list[tuple[Dialect, str]]:
     return [(form, path) for form in DIALECTS for path in found.get(form, [])[: 1 if form.is_many else None]]
 
 
-def cameras_to_write(ending: str, to: str | None) -> AnyFormat | None:
+def cameras_to_write(ending: str, to: str | None) -> AnyFormat | Dialect | None:
     """Return what cameras are written as, by the extension of OUT or by `to`; None for what stores other scenes."""
-    known: dict[str, AnyFormat] = {form.written_as: form for form in DIALECTS if form.written_as}
+    known: dict[str, AnyFormat | Dialect] = {form.written_as: form for form in DIALECTS if form.written_as}
     known |= {kind.name: kind for kind in folders_of("Cameras") if kind.writable}
     if to is not None and to in known:
         return known[to]

@@ -74,7 +74,7 @@ class Loaded(NamedTuple, Generic[Kind]):
     """
 
     scene: Kind
-    form: AnyFormat
+    form: AnyFormat | Dialect
     size: int
     packing: dict[str, Any]
     data: memoryview | None = None
@@ -190,7 +190,7 @@ def _decode_folder(path: Path, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
     return Loaded(form.load_module().decode(files), form, size, {})
 
 
-def _folder_form(files: Folder, *wanted: str) -> tuple[AnyFormat, str]:
+def _folder_form(files: Folder, *wanted: str) -> tuple[FolderKind | Dialect, str]:
     """Return folder_of_content(), else the tool of a file of cameras in the folder, with the name of that file.
 
     The error names a broken link that is in place of a file.
@@ -267,7 +267,7 @@ def _decode_member(path: Path, form: FolderKind, kinds: tuple[type[Kind], ...]) 
     return Loaded(form.load_module().decode(Folder(path.parent, {}), member=path.name), form, path.stat().st_size, {})
 
 
-def _require_kind(form: AnyFormat, kinds: tuple[type[Kind], ...]) -> None:
+def _require_kind(form: AnyFormat | Dialect, kinds: tuple[type[Kind], ...]) -> None:
     if kinds and form.scene not in [kind.__name__ for kind in kinds]:
         allowed = " or ".join(NOUNS[kind.__name__] for kind in kinds)
         advice = f" ({ADVICE[form.scene]})" if form.scene in ADVICE else ""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from nerfbake import catalog, io
 from nerfbake.errors import OutputError, UsageError
@@ -37,7 +36,8 @@ def convert_cameras(source: AnySource, target: AnyTarget, *, steps: Steps = SILE
     source, target = as_source(source), as_target(target)
     form = catalog.cameras_to_write(target.ending, target.to)
     if form is None:
-        raise UsageError(f"{target.path!r} is not a file of cameras; allowed: .json, or `to=colmap`")
+        suffixes = ", ".join(each.suffix for each in catalog.formats_of("Cameras"))
+        raise UsageError(f"{target.path!r} is not a file of cameras; allowed: {suffixes}, or `to=colmap`")
     contents = None
     if target.path == io.STREAM and not isinstance(form, catalog.Format):
         raise UsageError(f"stdout cannot be written as {target.to}; allowed: a path")
@@ -106,4 +106,4 @@ def _skew(camera: Camera) -> float:
 
 def _off(cameras: Iterable[Camera]) -> Iterator[float]:
     for camera in cameras:
-        yield float(np.hypot(camera.cx - camera.width / 2, camera.cy - camera.height / 2))
+        yield math.hypot(camera.cx - camera.width / 2, camera.cy - camera.height / 2)

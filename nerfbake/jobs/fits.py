@@ -41,6 +41,7 @@ from nerfbake.stages.brick_field_to_vdb import build_vdb_from_bricks
 from nerfbake.stages.field_to_splats import build_splats
 from nerfbake.stages.half import LARGEST
 from nerfbake.stages.octree_to_compression import compress_octree
+from nerfbake.stages.origins import origin_of
 from nerfbake.stages.scene_to_field import build_field, build_field_from_bricks
 from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views, plain_psnr
 
@@ -459,6 +460,9 @@ def _judged(
         with steps.phase(f"reading {target.name}"), read_back_as(target.path):
             loaded: io.Loaded[Any] = io.load_with_format(written.path)
         scene = loaded.scene if isinstance(loaded.scene, Meshes | Splats) else build_field(loaded.scene)
+        if (start := origin_of(loaded.scene)).any():  # a reader may choose another one than the fit did
+            near = held_out.cameras.relative_to(start - held_out.cameras.origin)
+            held_out = replace(held_out, cameras=near)
         views = measure_views(scene, held_out, samples=samples)
         shapes = measure_silhouettes(scene, held_out) if isinstance(scene, Meshes) else ()
     content = str(loaded.scene)

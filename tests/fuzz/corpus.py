@@ -369,8 +369,8 @@ def _files_below(write: Callable[[Path], Path]) -> Files:
 def _captures(name: str) -> Iterator[Files]:
     """The cameras of a rig in the formats of other programs."""
     if name in TOOLS:
-        for write in (TOOLS[name][0], *_MORE_TOOLS.get(name, ())):
-            yield _files_below(partial(_written_tool, write, kept_by(name, captures.rig(odd=True))))
+        for tool in (TOOLS[name][0], *_MORE_TOOLS.get(name, ())):
+            yield _files_below(partial(_written_tool, tool, kept_by(name, captures.rig(odd=True))))
         return
     writers = {
         "transforms": (captures.write_nerf_synthetic, captures.write_instant_ngp, captures.write_nerfstudio),

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
+from importlib.util import find_spec
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
+import pytest
 
 from nerfbake.scene.camera import Camera, Cameras
 
@@ -34,3 +41,17 @@ def plane_of(camera: Camera, pixels: Floats) -> Floats:
     looks, fine = camera.lens.looks(plane)
     assert fine.all()
     return np.asarray(looks[:, :2] / looks[:, 2:])
+
+
+def in_pycolmap(code: str, sent: Any) -> str:
+    """What code prints that reads `sent` as JSON from stdin, and uses pycolmap.
+
+    In a process of its own: pycolmap and Pillow in one process have aborted with a corrupted heap.
+    """
+    if find_spec("pycolmap") is None:
+        pytest.skip("needs pycolmap")
+    done = subprocess.run(
+        [sys.executable, "-c", code], input=json.dumps(sent), capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr[-400:]
+    return done.stdout

@@ -42,24 +42,24 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
     motions = {(row[0], row[1]): motion for row, motion in _motions(files, f"{folder}{_TRAJECTORIES}")}
     rigs: dict[str, list[tuple[str, _Motion]]] = {}
     if f"{folder}{_RIGS}" in files:
-        for row, motion in _motions(files, f"{folder}{_RIGS}"):
-            rigs.setdefault(row[1], []).append((row[0], motion))
+        for row, of_rig in _motions(files, f"{folder}{_RIGS}"):
+            rigs.setdefault(row[1], []).append((row[0], of_rig))
     album = Album(files, (f"{folder}{_PICTURES}", "images", ""))
     posed, left = [], 0
     for place, row in _rows(files, f"{folder}{_RECORDS}", 3):
         time, sensor, label = row[0], row[1], ", ".join(row[2:])
         if sensor not in models:
             raise InvalidFile(Problem(place, f"was taken by sensor {sensor[:40]}", f"a camera of {_SENSORS}"))
-        motion = motions.get((time, sensor))
-        for rig, of_rig in rigs.get(sensor, []) if motion is None else []:
-            if (moved := motions.get((time, rig))) is not None:
-                motion = compose(of_rig[0], moved[0]), rotate(moved[1], of_rig[0]) + of_rig[1]
-        if motion is None:
+        found = motions.get((time, sensor))
+        for rig, of_rig in rigs.get(sensor, []):
+            if found is None and (moved := motions.get((time, rig))) is not None:
+                found = compose(of_rig[0], moved[0]), rotate(moved[1], of_rig[0]) + of_rig[1]
+        if found is None:
             left += 1
             continue
         model = models[sensor]
         focal, centre, lens = intrinsics_of(model)
-        pose = pose_shifted(*motion)
+        pose = pose_shifted(*found)
         posed.append(Posed(label, album.find(label), pose, (model.width, model.height), focal, centre, lens))
         require_count(len(posed), name)
     require_count(len(posed), f"{folder}{_RECORDS}")

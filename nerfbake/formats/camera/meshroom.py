@@ -70,7 +70,9 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
     }
     poses = {str(each.get("poseId")): each for each in _objects(fields, "poses", name)}
     views = _objects(fields, "views", name)
-    album, posed, numbers = Album(files), [], {}
+    album = Album(files)
+    posed: list[Posed] = []
+    numbers: dict[str, int] = {}
     for i, view in enumerate(views):
         place = f"{name}: views[{i}]"
         pose, key = poses.get(str(view.get("poseId"))), str(view.get("intrinsicId"))

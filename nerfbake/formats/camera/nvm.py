@@ -49,10 +49,10 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
     for _ in range(count):
         number, line = _next(lines, name)
         place = f"{name}: line {number:,}"
-        label, *values = line.rsplit(maxsplit=_NUMBERS)
-        if len(values) != _NUMBERS:
-            raise InvalidFile(Problem(place, f"has {len(values) + 1} entries", f"a name and {_NUMBERS} numbers"))
-        rows.append((label, album.find(label), finite(values, place), place))
+        label, *parts = line.rsplit(maxsplit=_NUMBERS)
+        if len(parts) != _NUMBERS:
+            raise InvalidFile(Problem(place, f"has {len(parts) + 1} entries", f"a name and {_NUMBERS} numbers"))
+        rows.append((label, album.find(label), finite(parts, place), place))
     sizes, notes = album.sizes([path for _, path, _, _ in rows])
     posed, largest = [], 0.0
     for (label, path, values, place), size in zip(rows, sizes, strict=True):

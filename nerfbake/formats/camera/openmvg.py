@@ -71,7 +71,9 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
     for place, key, value in _entries(fields, "extrinsics", name):
         turn = table(value.get("rotation"), f"{place}.rotation", (3, 3))
         poses[key] = pose_at(turn, table(value.get("center"), f"{place}.center", (3,)))
-    album, posed, numbers, views = Album(files), [], {}, 0
+    album, views = Album(files), 0
+    posed: list[Posed] = []
+    numbers: dict[int, int] = {}
     for _place, key, value in _entries(fields, "views", name):
         views += 1
         view = _data(value)

@@ -66,7 +66,7 @@ def _rows(data: bytes, name: str) -> list[tuple[str, Mapping[str, str]]]:
         raise InvalidFile(Problem(f"{name}: the header", "has a column twice", "each once"))
     if len(lines) - start - 1 > MAX_FRAMES:
         raise InvalidFile(Problem(name, f"has {len(lines):,} lines", f"up to {MAX_FRAMES:,}"))
-    rows = []
+    rows: list[tuple[str, Mapping[str, str]]] = []
     for number, line in enumerate(lines[start + 1 :], start=start + 2):
         place = f"{name}: line {number:,}"
         if not line.strip():

@@ -44,7 +44,7 @@ def turn_of_axis_angle(x: float, y: float, z: float) -> Floats:
     sine, cosine = (float(value) for value in sine_cosine(angle))
     across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     axis = np.array([x, y, z])
-    return cosine * np.eye(3) + sine * across + (1 - cosine) * axis[:, None] * axis
+    return np.asarray(cosine * np.eye(3) + sine * across + (1 - cosine) * axis[:, None] * axis)
 
 
 def turn_about(axis: int, degrees: float) -> Floats:

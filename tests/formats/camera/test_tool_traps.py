@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -170,7 +171,7 @@ def test_lenses_of_meshroom(tmp_path: Path, made: Rig) -> None:
     values = ["1e-3", "2e-3", "3e-3", "4e-3", "5e-3"]
     file = tools.write_meshroom(tmp_path, made, type="brown", distortionParams=values)
     assert lens_of(first(tmp_path / file)) == ((1e-3, 2e-3, 3e-3), (4e-3, 5e-3))
-    newer = {"type": "pinhole", "distortionType": "radialk3", "distortionParams": values[:3]}
+    newer: dict[str, Any] = {"type": "pinhole", "distortionType": "radialk3", "distortionParams": values[:3]}
     assert lens_of(first(tmp_path / tools.write_meshroom(tmp_path, made, **newer)))[0] == (1e-3, 2e-3, 3e-3)
     file = tools.write_meshroom(tmp_path, made, type="3deanamorphic4", distortionParams=values)
     with pytest.raises(NerfbakeError, match="the lens is 3deanamorphic4; allowed: none, pinhole, radial1"):
@@ -262,7 +263,7 @@ def test_rotations_agree_with_each_other() -> None:
         turn = turns.turn_about(axis, 30)
         half = math.radians(15)
         q = [math.cos(half), *(math.sin(half) * (i == axis) for i in range(3))]
-        assert turns.turn_of_quaternion(*q, "") == pytest.approx(turn, abs=1e-15)
+        assert turns.turn_of_quaternion(q[0], q[1], q[2], q[3], "") == pytest.approx(turn, abs=1e-15)
         assert turns.turn_of_axis_angle(*(math.radians(30) * (i == axis) for i in range(3))) == pytest.approx(
             turn, abs=1e-15
         )

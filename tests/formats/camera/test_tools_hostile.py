@@ -6,6 +6,7 @@ import json
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,7 +121,8 @@ def test_any_value_of_another_kind_is_a_line(tool: str, made: Rig, tmp_path: Pat
     places = list(_places(document))
     for at, (holder, key) in enumerate(places):
         kept = holder[key]
-        for value in (("x", None), ([], 1e300), ({}, -1), (10**30, True))[at % 4]:
+        values: tuple[tuple[Any, Any], ...] = (("x", None), ([], 1e300), ({}, -1), (10**30, True))
+        for value in values[at % 4]:
             holder[key] = value
             path.write_text(json.dumps(document))
             assert "\n" not in told(path)
@@ -241,7 +243,7 @@ def test_a_link_in_place_of_a_file_is_no_way_out(made: Rig, tmp_path: Path) -> N
     home = tmp_path / "capture"
     write_pictures(tmp_path / "outside", made)
     for label in ("/etc/passwd", "../outside/r_0.png", "C:\\secret\\r_0.png", "a/../../outside/r_0.png", "..", "/"):
-        fields = {"id": 0, "img_name": label, "width": 14, "height": 10, "fx": 5, "fy": 5}
+        fields: dict[str, Any] = {"id": 0, "img_name": label, "width": 14, "height": 10, "fx": 5, "fy": 5}
         fields |= {"position": [0, 0, 0], "rotation": np.eye(3).tolist()}
         (camera,) = load(home / placed(home, "cameras.json", json.dumps([fields])), Cameras).cameras
         assert not camera.picture.startswith(("/", ".."))
