@@ -20,6 +20,7 @@ from nerfbake.formats.splat import ply as own
 from nerfbake.formats.splat.ply import SH0
 from nerfbake.scene.splats import Splats
 from tests.conformance.case import HOME, Case, Facts, Frozen, floats, form_named
+from tests.support.splats import ksplat
 
 NAMES = ("means", "scales", "quats", "opacity", "sh")
 # Scales of e^(k/16 - 10), quaternions about one axis, and coefficients of k/128 are exact in .spz but for rounding.
@@ -57,6 +58,9 @@ def cases() -> Iterator[Case]:
         }
         yield Case(f"splat/{name}", "Two Gaussian splats.", files, facts, answer, stored=1e-6)
     facts = {**BYTES, "sh": [[dc] for dc in DC8]}
+    files = {"splat/rows.ksplat": Frozen(form_named("ksplat"), None, data=ksplat([scene_of(facts)], 0))}
+    about = "Two Gaussian splats of a .ksplat without compression."
+    yield Case("splat/rows_ksplat", about, files, facts, answer, stored=1e-6)
     above = {**facts, "sh": [[[value + 1e-5 for value in dc]] for dc in DC8]}  # it rounds colours down
     files = {"splat/rows.splat": Frozen(form_named("splat"), None, data=foreign("splat/rows.splat", above))}
     yield Case("splat/rows", "Two Gaussian splats, as gaussforge writes them.", files, facts, answer, stored=1e-6)

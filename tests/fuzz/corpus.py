@@ -28,6 +28,7 @@ from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.scene.image import Depth, Image
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.schedule import parse_schedule
+from tests.conformance.gaussian_splatting.scenes import scenes
 from tests.support import captures, environments, mobilenerf_scenes, nerfs
 from tests.support.atlas_scenes import mlp_json, random_atlas, stage1_folder, texture
 from tests.support.camera_tools import TOOLS, kept_by, write_meshroom, write_metashape, write_metashape_project
@@ -46,6 +47,8 @@ from tests.support.snerg import snerg, snerg_folder
 from tests.support.splats import (
     gzip_spz,
     halved,
+    ksplat,
+    packed_glb,
     packed_ply,
     sog_files,
     sog_levels,
@@ -296,6 +299,9 @@ def _splats(name: str) -> Iterator[bytes]:
     if name == "splat":
         yield splat_rows(splats(5))
         return
+    if name == "ksplat":
+        yield from (ksplat([splats(5, degree=1), splats(3, degree=0)], level) for level in range(3))
+        return
     if name == "sog":
         yield from (sog_zip(files) for files in _sogs())
         yield sog_zip({f"a/{name}": data for name, data in sog_files(splats(5, degree=0)).items()})
@@ -307,10 +313,14 @@ def _splats(name: str) -> Iterator[bytes]:
         yield text_ply(splats(4, degree=0))
         yield _encoded(name, replace(splats(4, degree=0), origin=_MAP, up="z"))
         yield halved(_encoded(name, splats(3, degree=1)))
+        yield halved(_encoded(name, splats(3, degree=1))).replace(b"ushort", b"half")
         yield with_property(with_property(_encoded(name, splats(3, degree=0)), "float trbf_center"), "float motion_0")
     elif name == "glb":
         yield _encoded(name, replace(splats(4, degree=0), origin=_MAP))
+        yield packed_glb(splats(4, degree=1))
+        yield from (scene.data for scene in scenes() if scene.name in ("node_uneven_matrix", "interleaved"))
     elif name == "spz":
+        yield _encoded(name, splats(4), axes="LFU", spz_version=3)
         yield from (gzip_spz(splats(4), version) for version in (1, 2, 3))
         yield gzip.decompress(gzip_spz(splats(4), 2))
         yield spark_spz(splats(4), [(2, 1), (0, 0), (1, 3), (0, 0)])

@@ -155,6 +155,61 @@ def gzip_spz(scene: Splats, version: int, *, bits: int = 12) -> bytes:
     return gzip.compress(head + places.tobytes() + b"".join(parts), mtime=0)
 
 
+def packed_glb(scene: Splats, version: int = 2, name: str = "KHR_gaussian_splatting_compression_spz_2") -> bytes:
+    """A .glb with a whole .spz instead of accessors with numbers."""
+    blob = gzip_spz(scene, version)
+    blob += bytes(-len(blob) % 4)
+    base = "KHR_gaussian_splatting"
+    look = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display", "extensions": {name: {"bufferView": 0}}}
+    size = len(gzip_spz(scene, version))
+    document = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": [base, name],
+        "extensionsRequired": [base, name],
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"mode": 0, "attributes": {"POSITION": 0}, "extensions": {base: look}}]}],
+        "accessors": [{"componentType": 5126, "count": scene.n, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": size}],
+        "buffers": [{"byteLength": len(blob)}],
+    }
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(blob), len(text), b"JSON")
+    return head + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
+
+
+def ksplat(parts: list[Splats], level: int, *, ends: tuple[float, float] = (-1.5, 1.5)) -> bytes:
+    """Sections of a .ksplat, each with full buckets of four splats and a partial one."""
+    total = sum(part.n for part in parts)
+    head = struct.pack("<BBxxIIIIH", 0, 1, len(parts) + 1, len(parts), total, total, level).ljust(36, b"\0")
+    head += struct.pack("<ff", *ends)
+    heads, data = b"", b""
+    centres, small, coded = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))[level]
+    for part in parts:
+        full, left = divmod(part.n, 4)
+        buckets = full + (left > 0)
+        middles = np.stack([part.means[4 * k : 4 * k + 4].mean(axis=0) for k in range(buckets)]).astype("<f4")
+        block = 4 * float(np.abs(part.means - middles.repeat(4, axis=0)[: part.n]).max())
+        fields = (part.n, part.n, 4, buckets, block, 12, 32767, 12 * buckets, full, int(left > 0), part.degree)
+        heads += struct.pack("<IIIIfHxxIIIIH", *fields).ljust(1024, b"\0")
+        rest = np.concatenate(
+            [part.sh[:, d * d : (d + 1) ** 2].swapaxes(1, 2).reshape(part.n, -1) for d in range(1, part.degree + 1)]
+            or [np.zeros((part.n, 0))],
+            axis=1,
+        )
+        rest = np.rint((rest - ends[0]) / (ends[1] - ends[0]) * 255).clip(0, 255) if level == 2 else rest
+        row = [("mean", centres, 3), ("scale", small, 3), ("quat", small, 4), ("colour", "u1", 4)]
+        rows = np.zeros(part.n, [*row, ("sh", coded, (rest.shape[1],))])
+        away = np.rint((part.means - middles.repeat(4, axis=0)[: part.n]) * (2 * 32767 / block)) + 32767
+        rows["mean"] = away if level else part.means
+        rows["scale"], rows["quat"], rows["sh"] = part.scales, part.quats, rest
+        colour = np.concatenate([part.sh[:, 0] * 0.28209479 + 0.5, part.opacity[:, None]], axis=1)
+        rows["colour"] = np.rint(colour * 255).clip(0, 255)
+        data += struct.pack("<I", left) * (left > 0) + middles.tobytes() + rows.tobytes()
+    return head.ljust(4096, b"\0") + heads + bytes(1024) + data  # the last section is empty
+
+
 def spark_spz(scene: Splats, tree: list[tuple[int, int]], version: int = 2) -> bytes:
     """Levels of detail as Spark writes them. tree: the number of children of each row, and its first child."""
     whole = bytearray(gzip.decompress(gzip_spz(scene, version)))

@@ -10,10 +10,11 @@ A primitive of points has an accessor for each attribute:
     COLOR_0                                              colour of degree 0 for viewers of points, linear
 
 formats/mesh/glb.py describes the container. glTF's x points left, y up and z to the front; x and y change their signs
-here. Files of nerfbake without "nerfbake_front" in the extras of the asset have x right, y up and z back. The matrices
-of the nodes move the splats and their colours. The origin of splats far from 0 is the translation of their node.
+here. KHR_gaussian_splatting_compression_spz_2 has a whole .spz instead of the numbers. Files of nerfbake without
+"nerfbake_front" in the extras of the asset have x right, y up and z back. The matrices of the nodes move the splats and
+their colours. The origin of splats far from 0 is the translation of their node.
 
-Source: KhronosGroup/glTF, KHR_gaussian_splatting; glTF 2.0, section 3.4.
+Source: KhronosGroup/glTF, KHR_gaussian_splatting and its pull request 2531; glTF 2.0, section 3.4.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats.mesh.glb import placed_meshes
 from nerfbake.formats.mesh.glb_document import Document, malformed
 from nerfbake.formats.mesh.glb_writer import opening_of
+from nerfbake.formats.splat import spz
 from nerfbake.formats.splat.glb_check import EXTENSION, PREFIX
 from nerfbake.formats.splat.glb_check import examine as examine
 from nerfbake.formats.splat.ply import SH0, exp_or_nan
@@ -45,7 +47,9 @@ from nerfbake.scene.splats import BASES, MOVING, Axes, SplatRows, Splats, join_s
 MOST_DEGREE = 3
 KEEPS_ORIGIN = True
 _HEAD = 20  # bytes before the JSON chunk
-_KNOWN = (EXTENSION, "KHR_mesh_quantization")
+# The second one is the name in drafts.
+_PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
+_KNOWN = (EXTENSION, "KHR_mesh_quantization", *_PACKED)
 _OF_MESHES = ("KHR_materials_", "KHR_texture_", "EXT_texture_")  # extensions of parts that are left out
 _POINTS = 0
 _FLOAT, _BYTE, _VERTICES = 5126, 5121, 34962
@@ -79,7 +83,7 @@ def decode(view: memoryview) -> Splats:
     required = document.root.get("extensionsRequired", [])
     for extension in required if isinstance(required, list) else [required]:
         if extension not in _KNOWN and not str(extension).startswith(_OF_MESHES):
-            raise malformed("extensionsRequired", f"has {str(extension)[:60]}", " and ".join(_KNOWN))
+            raise malformed("extensionsRequired", f"has {str(extension)[:60]}", ", ".join(_KNOWN))
     parts: list[tuple[Splats, Floats]] = []
     notes: dict[str, None] = {}
     for _, index, matrix in placed_meshes(document):
@@ -164,6 +168,8 @@ def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, 
         notes.append("its colours are linear; they are kept as they are, and look too dark")
 
     others = extension.get("extensions")
+    if isinstance(others, dict) and (name := next((name for name in _PACKED if name in others), None)):
+        return _unpacked(document, others[name], f"{place}.{name}", tuple(notes))
     inner = str(next(iter(others)))[:60] if isinstance(others, dict) and others else None
     if inner is not None:
         notes.append(f"the extension {inner!r} is left out")
@@ -212,6 +218,18 @@ def _splats(document: Document, primitive: dict[str, Any], extension: dict[str, 
 
     antialiased = isinstance(extras := primitive.get("extras"), dict) and extras.get(_ANTIALIASED) is True
     return splats_in_blocks(n, BASES[top], rows, antialiased=antialiased, notes=tuple(notes))
+
+
+def _unpacked(document: Document, extension: Any, place: str, notes: tuple[str, ...]) -> Splats:
+    """Return the splats of a whole .spz in a bufferView, in the coordinates of its node.
+
+    The extension says that they are turned to glTF's axes when they are read.
+    """
+    if not isinstance(extension, dict):
+        raise malformed(place, f"is a {type(extension).__name__}", "an object with a bufferView")
+    splats = spz.decode(document.view(extension.get("bufferView")))
+    told = tuple(note for note in splats.notes if note != spz.UNNAMED)
+    return replace(to_axes(splats.with_degree(MOST_DEGREE), _GLTF), axes=None, axes_known=True, notes=(*notes, *told))
 
 
 def _scale_kind(scales: npt.NDArray[Any], asset: Any) -> tuple[bool, str]:

@@ -60,7 +60,7 @@ _MANY = 1 << 16  # splats that a file of any size may have
 _MOST_PER_BYTE = 16  # splats
 _COORDINATE_SYSTEM = 0xADBE0003
 _USUAL: Axes = "RUB"
-_UNNAMED = "axes not named; read as right, up, back (SPZ's README)"
+UNNAMED = "axes not named; read as right, up, back (SPZ's README)"
 _OLD_READERS = (
     "version 4 of .spz; Omniverse's converter, gsply without an extra and older plug-ins of Unity and game engines read"
     " only up to 3, which `spz_version=3` writes"
@@ -162,7 +162,7 @@ def decode(view: memoryview) -> Splats:
 
     antialiased = bool(head.flags & _ANTIALIASED)
     splats = splats_in_blocks(n, B, rows, antialiased=antialiased, notes=(*notes, *more))
-    return replace(from_axes(splats, system), axes_known=_UNNAMED not in more)
+    return replace(from_axes(splats, system), axes_known=UNNAMED not in more)
 
 
 def _attributes(view: memoryview, head: _Head) -> tuple[list[memoryview], memoryview, list[str]]:
@@ -232,7 +232,7 @@ def _axes(extensions: memoryview) -> tuple[Axes, tuple[str, ...]]:
         if system not in (None, _USUAL):
             notes.append(f"an extension says that the axes of the file are {system} instead of {_USUAL}")
     if system is None:
-        notes.append(_UNNAMED)
+        notes.append(UNNAMED)
     return system or _USUAL, tuple(dict.fromkeys(notes))
 
 

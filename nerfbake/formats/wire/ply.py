@@ -28,6 +28,7 @@ _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
     "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
+    "half": "f2", "float16": "f2",
 }  # fmt: skip
 _DIGITS = 18  # of a count: it fits in 64 bits
 _FEW = 1 << 17  # rows with lists of different lengths that are skipped one by one

@@ -16,12 +16,12 @@ import trimesh
 
 from nerfbake import Meshes, Splats, load, save
 from nerfbake.errors import InvalidFile, InvalidScene
-from nerfbake.formats.splat import glb
+from nerfbake.formats.splat import glb, spz
 from tests.formats.splat.test_ply import assert_same
 from tests.support.hostile import refused_as_it_is
 from tests.support.meshes import cube
 from tests.support.splat_pictures import covariances
-from tests.support.splats import splats
+from tests.support.splats import gzip_spz, packed_glb, splats
 
 NAME = "KHR_gaussian_splatting"
 TO_GLTF = (-1, -1, 1)  # x left, y up, z to the front
@@ -347,6 +347,21 @@ def test_flat_splats_are_stretched_too(scales: list[float]) -> None:
     np.testing.assert_allclose(one, matrix @ own @ matrix, atol=1e-6)
 
 
+COMPRESSED = "KHR_gaussian_splatting_compression_spz_2"
+
+
+@pytest.mark.parametrize(("version", "name"), [(2, COMPRESSED), (3, COMPRESSED.removesuffix("_2"))])
+def test_a_spz_inside_is_turned_to_the_axes_of_gltf(version: int, name: str) -> None:
+    scene = splats(30, degree=2, antialiased=True)
+    data = packed_glb(scene, version, name)
+    found, expected = decoded(data), spz.decode(memoryview(gzip_spz(scene, version)))
+    for part in ("means", "scales", "quats", "opacity", "sh"):
+        np.testing.assert_allclose(getattr(found, part), getattr(expected, part), atol=1e-6)
+    assert (found.antialiased, found.notes) == (True, ())
+    moved = decoded(changed(data, lambda document: document["nodes"][0].update(translation=[1, 2, 3])))
+    np.testing.assert_allclose(moved.means, expected.means + np.array([-1, -2, 3]), atol=1e-6)
+
+
 # -- hostile files ---------------------------------------------------------------------------------------------
 SHEAR = [1, 0.5, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
 SOUND = written(splats(9, degree=1))
@@ -368,11 +383,8 @@ def extension(**fields: Any) -> bytes:
     return changed(SOUND, lambda document: primitive(document)["extensions"][NAME].update(fields))
 
 
-COMPRESSED = "KHR_gaussian_splatting_compression_spz_2"
-
-
 def compressed(change: Callable[[Document], object]) -> bytes:
-    return changed(extension(extensions={COMPRESSED: {"bufferView": 0}}), change)
+    return changed(extension(extensions={"EXT_more": {}}), change)
 
 
 LIES: dict[str, tuple[bytes, str]] = {
@@ -390,11 +402,14 @@ LIES: dict[str, tuple[bytes, str]] = {
     "no object": (changed(SOUND, lambda d: primitive(d)["extensions"].update({NAME: 3})), "without points"),
     "a kernel": (extension(kernel="cube"), "kernel is cube; allowed: ellipse"),
     "a colour space": (extension(colorSpace=[]), "colorSpace is []; allowed: srgb_rec709_display or lin_rec709"),
-    "compressed": (compressed(lambda d: [each.pop("bufferView") for each in d["accessors"]]), f"needs {COMPRESSED}"),
-    "compressed, without accessors": (compressed(lambda d: primitive(d)["attributes"].clear()), f"needs {COMPRESSED}"),
+    "compressed": (compressed(lambda d: [each.pop("bufferView") for each in d["accessors"]]), "needs EXT_more"),
+    "compressed, without accessors": (compressed(lambda d: primitive(d)["attributes"].clear()), "needs EXT_more"),
+    "a .spz without a view": (extension(extensions={COMPRESSED: {}}), "bufferViews have no entry None"),
+    "a .spz of another kind": (extension(extensions={COMPRESSED: []}), f"{COMPRESSED} is a list; allowed: an object"),
+    "no .spz": (extension(extensions={COMPRESSED: {"bufferView": 0}}), "the .spz has no whole header"),
     "required": (
-        changed(SOUND, lambda document: document.update(extensionsRequired=[COMPRESSED])),
-        f"extensionsRequired has {COMPRESSED}; allowed: {NAME}",
+        changed(SOUND, lambda document: document.update(extensionsRequired=["EXT_more"])),
+        f"extensionsRequired has EXT_more; allowed: {NAME}",
     ),
     "no splats in the scene": (changed(SOUND, lambda document: document.update(nodes=[{}])), "has no splats"),
     "a node that shears": (

@@ -41,6 +41,17 @@ def test_numbers_of_type_ushort_are_half_floats(which: str, order: str) -> None:
     np.testing.assert_allclose(np.abs((found.quats * SCENE.quats).sum(axis=1)), 1, atol=1e-5)
 
 
+@pytest.mark.parametrize("order", ["little", "big"])
+@pytest.mark.parametrize("word", [b"half", b"float16"])
+def test_half_floats_may_have_a_type_of_their_own(word: bytes, order: str) -> None:
+    plain = b"".join(ply.encode(splats(30, degree=1)))
+    bits = halved(plain, "", order)
+    found, expected = (ply.decode(memoryview(each)) for each in (bits.replace(b"ushort", word), bits))
+    for name in ("means", "scales", "quats", "opacity", "sh"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name))
+    assert found.notes == ()
+
+
 def test_half_floats_in_text_are_their_bits() -> None:
     text = text_ply(splats(1, degree=0)).decode().replace("float opacity", "ushort opacity")
     head, _, row = text.partition("end_header\n")
