@@ -21,7 +21,16 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.formats.mesh.colours import GREY, normalised, sound_colours
-from nerfbake.formats.mesh.glb_document import Document, extension_of, inline, list_of, malformed, numbers_of, whole
+from nerfbake.formats.mesh.glb_document import (
+    MESHOPT,
+    Document,
+    extension_of,
+    inline,
+    list_of,
+    malformed,
+    numbers_of,
+    whole,
+)
 from nerfbake.formats.mesh.glb_writer import UP, encode_glb, parts_of
 from nerfbake.formats.wire.json import kind_of, number
 from nerfbake.formats.wire.picture import Coding, decode_cut_out
@@ -37,7 +46,7 @@ _GLOSSY = "KHR_materials_pbrSpecularGlossiness"  # holds the base colour under n
 _MOVED = "KHR_texture_transform"
 _DRACO = "KHR_draco_mesh_compression"
 _INSTANCES = "EXT_mesh_gpu_instancing"
-_KNOWN = ("KHR_mesh_quantization", _MOVED, "EXT_texture_webp")
+_KNOWN = ("KHR_mesh_quantization", _MOVED, "EXT_texture_webp", MESHOPT)
 # Extensions that do not affect triangles and their colours: lights, animation, audio and metadata.
 _BESIDE = {"KHR_lights_punctual", "EXT_lights_image_based", "EXT_lights_ies", "KHR_animation_pointer", "KHR_audio"}
 _BESIDE |= {"KHR_xmp", "KHR_xmp_json_ld", "MSFT_lod"}

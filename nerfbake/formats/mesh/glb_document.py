@@ -1,6 +1,7 @@
 """The container of .glb files: chunks, and the parts that the JSON refers to, each checked when it is accessed.
 
-Accessors may be sparse, and are zeros without a bufferView. Buffers and pictures may be data URIs.
+Accessors may be sparse, and are zeros without a bufferView. Buffers and pictures may be data URIs. BufferViews of
+EXT_meshopt_compression are decompressed.
 
 Source: glTF 2.0, sections 3.6 and 4.4.
 """
@@ -17,8 +18,10 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire.json import kind_of, parse_object
+from nerfbake.formats.wire.meshopt import FILTERS, decompress
 from nerfbake.kernels.arrays import Floats
 
+MESHOPT = "EXT_meshopt_compression"
 _VERSION = "2.0"
 _COPIES = 44  # bytes of memory for each number of an accessor, while it is converted to mesh data
 _PADDING = 3  # bytes at most behind the JSON
@@ -40,6 +43,7 @@ class Document:
         text = json_chunk[: len(json_chunk) - len(last) + len(last.rstrip(b"\0"))]
         self.root = parse_object(text, "the JSON chunk")
         self._inlined: dict[int, memoryview] = {}  # buffers in data URIs
+        self._unpacked: dict[int, memoryview] = {}  # compressed bufferViews
         asset = self.root.get("asset")
         for key in ("version", "minVersion"):
             found = str(asset.get(key, _VERSION))[:40] if isinstance(asset, dict) else _VERSION
@@ -116,8 +120,26 @@ class Document:
         return found
 
     def view(self, index: Any) -> memoryview:
-        """Return the bytes of a bufferView."""
+        """Return the bytes of a bufferView, decompressed."""
         place, entry = f"bufferViews[{index}]", self.item("bufferViews", index)
+        packed = extension_of(entry, MESHOPT, place)
+        return self._part(entry, place) if packed is None else self._unpacked_view(index, packed, place)
+
+    def _unpacked_view(self, index: int, packed: dict[str, Any], place: str) -> memoryview:
+        if index not in self._unpacked:
+            place = f"{place}.{MESHOPT}"
+            self._unpacked[index] = decompress(
+                self._part(packed, place),
+                count=whole(packed, "count", place),
+                stride=whole(packed, "byteStride", place),
+                mode=str(packed.get("mode")),
+                filter_=str(packed.get("filter", FILTERS[0])),
+                place=place,
+            )
+        return self._unpacked[index]
+
+    def _part(self, entry: dict[str, Any], place: str) -> memoryview:
+        """Return a part of a buffer."""
         number: Any = entry.get("buffer")
         buffer = self.item("buffers", number)
         if "uri" in buffer:

@@ -30,7 +30,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats.mesh.glb import placed_meshes
-from nerfbake.formats.mesh.glb_document import Document, malformed
+from nerfbake.formats.mesh.glb_document import MESHOPT, Document, malformed
 from nerfbake.formats.mesh.glb_writer import opening_of
 from nerfbake.formats.splat import spz
 from nerfbake.formats.splat.glb_check import EXTENSION, PREFIX
@@ -49,7 +49,7 @@ KEEPS_ORIGIN = True
 _HEAD = 20  # bytes before the JSON chunk
 # The second one is the name in drafts.
 _PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
-_KNOWN = (EXTENSION, "KHR_mesh_quantization", *_PACKED)
+_KNOWN = (EXTENSION, "KHR_mesh_quantization", MESHOPT, *_PACKED)
 _OF_MESHES = ("KHR_materials_", "KHR_texture_", "EXT_texture_")  # extensions of parts that are left out
 _POINTS = 0
 _FLOAT, _BYTE, _VERTICES = 5126, 5121, 34962

@@ -25,6 +25,7 @@ from nerfbake.formats.mesh.glb_document import Document
 from nerfbake.memory import memory_limit
 from tests.support.hostile import refused_as_it_is
 from tests.support.meshes import TEXELS, assert_same_mesh, cube, painted, sphere, square
+from tests.support.meshopt_streams import CUBE
 
 
 def test_glb_there_and_back(tmp_path: Path) -> None:
@@ -638,3 +639,36 @@ def test_a_material_is_two_textures_and_the_albedo_is_read_again() -> None:
     assert pixel(specular) == (255, 255, 255, 200)
     (again,) = glb_format.decode(memoryview(b"".join(glb_format.encode(scene)))).meshes
     np.testing.assert_array_equal(again.texture, albedo)
+
+
+def test_a_file_of_gltfpack_is_read() -> None:
+    """Streams of meshoptimizer, in which nothing is left in the buffer that the views name, and quantised positions."""
+    data = base64.b64decode(CUBE)
+    assert b'"EXT_meshopt_compression"' in data
+    assert b'"KHR_mesh_quantization"' in data
+    (found,) = glb_format.decode(memoryview(data)).meshes
+    corners, expected = (np.unique(np.round(mesh.positions, 3), axis=0) for mesh in (found, cube()))
+    np.testing.assert_allclose(corners, expected, atol=1e-3)
+    assert len(found.faces) == len(cube().faces)
+    volumes = [float(np.linalg.det(mesh.positions[mesh.faces]).sum()) / 6 for mesh in (found, cube())]
+    assert volumes[0] == pytest.approx(volumes[1], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({"count": 1 << 30}, "EXT_meshopt_compression declares"),
+        ({"buffer": 9}, "buffers have no entry 9"),
+        ({"byteLength": 1 << 30}, "ends at byte"),
+        ({"mode": "LINES"}, "has LINES with NONE"),
+        ({"byteStride": "4"}, "byteStride is 4; allowed: a whole number"),
+    ],
+)
+def test_a_lying_stream_is_refused(fields: dict[str, Any], told: str) -> None:
+    data = base64.b64decode(CUBE)
+    size = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + size])
+    for view in document["bufferViews"]:
+        view["extensions"]["EXT_meshopt_compression"].update(fields)
+    with pytest.raises(NerfbakeError, match=told):
+        decoded(glb(document, data[28 + size :]))
