@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
+from nerfbake.cli.function_params import world_option
 from nerfbake.cli.params import (
     CAPTURE,
     Number,
@@ -41,6 +42,7 @@ view_options = bundled(
         help="Picture size in pixels.  [default: that of the photographs or cameras; 400x400 for an orbit]",
     ),
     samples,
+    world_option,
 )
 limit_options = bundled(
     "limits",

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from nerfbake import io
+from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     CAPTURE,
     Command,
@@ -93,6 +94,7 @@ def quality_options(function: Command) -> Command:
     show_default=True,
     help="range: the smallest file; deflate: about a quarter larger, but any inflate can decode it.",
 )
+@function_options("basis")
 @as_json
 @console_options
 def compress(source: Source, target: Target, as_json: bool, console: Console, **options: Any) -> None:

@@ -7,8 +7,10 @@ from typing import Any
 import click
 
 from nerfbake.catalog import cameras_to_write
+from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     ALL,
+    budget_options,
     codec_option,
     console_options,
     grid_options,
@@ -23,7 +25,7 @@ from nerfbake.jobs.files import Source, Target
 
 @click.command()
 @source_argument
-@octree_target_argument("Volume", "Splats", "Cameras")
+@octree_target_argument("N3Tree", "Volume", "Splats", "Cameras")
 @click.option(
     "--layout",
     type=click.Choice(["full", "compact"]),
@@ -33,11 +35,15 @@ from nerfbake.jobs.files import Source, Target
 @codec_option
 @click.option("--half", is_flag=True, help="Store the values of a volume as float16.")
 @splat_file_options
+@function_options()
+@budget_options
 @console_options
 def convert(source: Source, target: Target, console: Console, **options: Any) -> None:
     """Convert between formats, and report any loss.
 
     Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz, without loss.
+    A field that another program trained becomes a PlenOctree (.npz) or an octree; the loss against its own pictures is
+    printed.
     Gaussian splats become .ply, .spz or .glb, and the largest and median loss are printed. With --in-up, they are
     rotated so that this axis of their world, in which `info` describes them, points up in the new file.
 
@@ -55,6 +61,7 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
       nerfbake convert smoke.vdb smoke.nvdb --grid density
       nerfbake convert smoke.vdb smoke.nvdb --grid all
       nerfbake convert smoke.vdb smoke.svo.npz --grid density --in-up y
+      nerfbake convert step-000029999.ckpt fox.npz --basis SH16
       nerfbake convert scene.ply scene.spz
       nerfbake convert scene.ply scene.glb --in-up z
       nerfbake convert upside_down.spz scene.spz --in-axes RDF --spz-version 3

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import console_options, source_argument, target_argument
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
@@ -26,6 +27,7 @@ from nerfbake.jobs.files import Source, Target
     type=click.Choice(["y", "z"]),
     help="Up axis of IN. z: the nodes of a .glb rotate z to y.  [default: no rotation]",
 )
+@function_options()
 @console_options
 def hull(source: Source, target: Target, console: Console, **options: Any) -> None:
     """Build a tight mesh around a scene, for engines.

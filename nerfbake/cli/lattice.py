@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import NumberRange, Resolution, budget_options, console_options, seed, source_argument
 from nerfbake.cli.paths import JudgedOutput
 from nerfbake.console import Console
@@ -31,6 +32,7 @@ from nerfbake.jobs.files import FolderTarget, Source
 )
 @click.option("--merged", is_flag=True, help="Store values once, as rows of float16, for occupied nodes only.")
 @seed
+@function_options("resolution")
 @budget_options
 @console_options
 def lattice(source: Source, target: str, force: bool, console: Console, **options: Any) -> None:

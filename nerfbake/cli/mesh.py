@@ -8,6 +8,7 @@ import click
 
 from nerfbake import io
 from nerfbake.cli.fit import training_picture_options
+from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     Box,
     Number,
@@ -108,6 +109,7 @@ class TriangleCounts(ParamType[tuple[int, ...]]):
     help="Lowest allowed PSNR of OUT on the held-out views in dB. Below it, OUT is renamed to OUT.rejected (exit code "
     "3).",
 )
+@function_options("box")
 @seed
 @as_json
 @console_options

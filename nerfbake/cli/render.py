@@ -7,7 +7,9 @@ from functools import wraps
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import click
+from click.core import ParameterSource
 
+from nerfbake.cli.function_params import world_option
 from nerfbake.cli.params import (
     CAPTURE,
     Command,
@@ -86,6 +88,7 @@ view_options = bundled(
         help="Picture size in pixels.  [default: that of the cameras; 800x800 for an orbit]",
     ),
     samples,
+    world_option,
     check=_check_views,
 )
 picture_options = bundled(
@@ -151,7 +154,7 @@ def mesh_options(function: Command) -> Command:
     "--background",
     type=Background(),
     default="white",
-    show_default=True,
+    show_default="white; of a trained field its own",
     help="Background: white, black, transparent or R,G,B.",
 )
 @lookup
@@ -169,8 +172,8 @@ def mesh_options(function: Command) -> Command:
 def render(source: Source, pictures: PictureOutputs, shots: ViewSelection, console: Console, **options: Any) -> None:
     """Render pictures or a turntable.
 
-    Renders the PlenOctree, octree, volume, lattice, splats or mesh IN as PNG or as an animated GIF. A density without
-    colours is rendered grey. A mesh is a .glb, .obj or .ply, a stage-1 folder of nerf2mesh or an atlas.
+    Renders the PlenOctree, octree, volume, lattice, trained field, splats or mesh IN as PNG or as an animated GIF. A
+    density without colours is rendered grey. A mesh is a .glb, .obj or .ply, a stage-1 folder of nerf2mesh or an atlas.
 
     \b
       nerfbake render chair.npz --out chair.png
@@ -184,4 +187,7 @@ def render(source: Source, pictures: PictureOutputs, shots: ViewSelection, conso
 
     from nerfbake.jobs.pictures import render_views
 
+    where = click.get_current_context().get_parameter_source("background")
+    if where in (ParameterSource.DEFAULT, ParameterSource.DEFAULT_MAP):
+        del options["background"]  # a trained field has its own default
     render_views(source, pictures, shots, steps=console, **options)

@@ -8,6 +8,7 @@ import click
 
 from nerfbake import io
 from nerfbake.cli.fit import training_picture_options
+from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     Number,
     ParamType,
@@ -54,6 +55,7 @@ class SplatCount(ParamType[int]):
     type=Number(),
     help="Lowest allowed PSNR on the held-out views in dB. Below it, OUT is renamed to OUT.rejected (exit code 3).",
 )
+@function_options()
 @seed
 @as_json
 @console_options

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     NumberRange,
     PartBox,
@@ -71,6 +72,7 @@ RESAMPLE = (
     ),
     in_up=None,
 )
+@function_options("resolution", "box", "basis")
 @budget_options
 @console_options
 def svo(source: Source, target: Target, console: Console, **options: Any) -> None:

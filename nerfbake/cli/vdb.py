@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     NumberRange,
     PartBox,
@@ -57,6 +58,7 @@ GRIDS = (
     ),
     in_up="stated",
 )
+@function_options("resolution", "box")
 @budget_options
 @console_options
 def vdb(source: Source, target: Target, console: Console, **options: Any) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     CAPTURE,
     bundled,
@@ -73,6 +74,7 @@ from nerfbake.jobs.files import Source, Target
     is_flag=True,
     help="Also store the photographs of --cameras, 480 pixels wide, to show them over the scene.",
 )
+@function_options()
 @grid_options()
 @console_options
 def view(source: Source, target: Target | None, console: Console, **options: Any) -> None:

@@ -27,6 +27,7 @@ from .fits import FitOptions as FitOptions
 from .fits import FitResult as FitResult
 from .fits import fit_file as fit_file
 from .fits import fit_scene as fit_scene
+from .function_voxels import FunctionVoxels as FunctionVoxels
 from .grids import GridChoice as GridChoice
 from .hulls import bake_hull as bake_hull
 from .lattices import bake_lattice as bake_lattice

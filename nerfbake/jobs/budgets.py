@@ -21,7 +21,8 @@ class Budget:
 
     min_psnr  lowest allowed mean PSNR of its pictures against those of its source, in dB; None: no limit, and no
               pictures are rendered
-    cameras   a capture with the views to compare; None: 8 views around the scene
+    cameras   a capture with the views to compare; None: 8 views around the scene, or of a trained field between its
+              cameras
     samples   rays along each edge of a pixel; None: from the cameras, else 1
     """
 
@@ -111,7 +112,9 @@ def judge_output(
     from nerfbake.stages.scenes_to_comparison import compare_scenes
 
     seen = renderable_scene(steps, scene, made_from)
-    views = views_of(steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE, samples=budget.samples)
+    views = views_of(
+        steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE, samples=budget.samples, own=True
+    )
     with io.blame(budget.cameras or made_from):
         views.require_covered()
     name = written if name is None else name

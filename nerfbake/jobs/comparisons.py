@@ -10,11 +10,13 @@ from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES
 from nerfbake.jobs.files import AnySource, Source, as_source
+from nerfbake.jobs.function_voxels import FunctionVoxels, World
 from nerfbake.jobs.grids import tell_unused
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import in_one_world, renderable_scene, views_of
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.comparison import Comparison
+from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.image import Image
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Meshes
@@ -30,16 +32,18 @@ from nerfbake.stages.scenes_to_comparison import compare_scenes
 class ComparedViews:
     """The views that are compared.
 
-    cameras  a capture; None: 8 views around the first scene
+    cameras  a capture; None: 8 views around the first scene, or of a trained field between its cameras
     truth    a folder with a photograph NAME.png for each of the cameras; None: no photographs
     size     (W, H) pixels; None: that of the photographs or cameras, 400 x 400 for an orbit
     samples  rays along each edge of a pixel; None: from the cameras, else 1
+    world    of trained fields: that of the user's cameras, or that of the network
     """
 
     cameras: str | None = None
     truth: str | None = None
     size: tuple[int, int] | None = None
     samples: int | None = None
+    world: World = "original"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,11 +108,19 @@ def compare_files(
     first, second = as_source(a), as_source(b)
     if first.path == second.path == io.STREAM:
         raise UsageError("both scenes are stdin, which can be read once; allowed: '-' for one of them")
-    (scene, facts), (other, others) = (_read(steps, each) for each in (first, second))
+    (scene, facts), (other, others) = (_read(steps, each, seen.world) for each in (first, second))
     scene, other = in_one_world(steps, [(first.name, scene), (second.name, other)])
     scene = renderable_scene(steps, scene, first.name)
     views = views_of(
-        steps, scene, seen.cameras, name=first.name, frames=FRAMES, edge=EDGE, size=seen.size, samples=seen.samples
+        steps,
+        scene,
+        seen.cameras,
+        name=first.name,
+        frames=FRAMES,
+        edge=EDGE,
+        size=seen.size,
+        samples=seen.samples,
+        own=True,
     )
     photographs = list(io.Truth(seen.truth, views.names, Image)) if seen.truth else None
     with io.blame(seen.cameras or first.name):
@@ -132,11 +144,12 @@ def compare_files(
     return compared
 
 
-def _read(steps: Steps, source: Source) -> tuple[Any, dict[str, Any]]:
+def _read(steps: Steps, source: Source, world: World) -> tuple[Any, dict[str, Any]]:
     """Return the scene, and its name, content, format and size in bytes."""
-    fields = N3Tree, SparseVoxelOctree, Volume, LatticeField
+    fields = N3Tree, SparseVoxelOctree, Volume, LatticeField, FunctionField
     kinds = *fields, Splats, Meshes, Stage1, BakedAtlas
     found = source.read_with_format(steps, *kinds)
     tell_unused(steps, source, found.scene)
     facts = {"name": source.name, "content": str(found.scene), "format": found.form.name, "bytes": found.size}
-    return found.scene, facts
+    scene = found.scene
+    return FunctionVoxels(world=world).placed(scene) if isinstance(scene, FunctionField) else scene, facts

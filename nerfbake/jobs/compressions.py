@@ -10,6 +10,7 @@ from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget, judge_output, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Target, as_source, as_target
+from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import read_cameras
@@ -100,6 +101,7 @@ def compress_file(
     photographs: GroundTruth = GroundTruth(),
     basis: str | None = None,
     coding: Coding = "range",
+    functions: FunctionVoxels = FunctionVoxels(),
     budget: Budget = Budget(),
     steps: Steps = SILENT,
     report: Callable[[Compression], None] | None = None,
@@ -111,6 +113,7 @@ def compress_file(
 
     basis   SHk of a lower degree, to which the colours are reduced first
     coding  of the coefficients: range is smaller, deflate faster to read
+    functions  how a trained field becomes voxels
     report  is called with the result once the file has its final name, also if it is rejected
 
     >>> compress_file("a.npz", "small.svoq", goal=CompressionGoal(step=0.1)).quantised.colour_step
@@ -121,7 +124,8 @@ def compress_file(
     photographs.require()
     target.require("QuantisedOctree", coding=coding)
     budget.require(target)
-    reading = Reading(steps, source)
+    reading = Reading(steps, source, functions=functions)
+    reading.require()
     octree, held_out = reading.octree(), reading.held_out
     del reading
     options |= photographs.read(steps, held_out)

@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING, Literal
 
 from nerfbake import catalog, io, memory
 from nerfbake.errors import UsageError
+from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
+from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.grids import GridChoice, warn_about_halves
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.kernels.soundness import plural
+from nerfbake.scene.function_field import FunctionField
+from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.origin import lost_origin, no_origin
 from nerfbake.scene.splats import UPS, Splats, Up
@@ -38,12 +42,15 @@ def convert_file(
     codec: str | None = None,
     half: bool = False,
     splats: SplatChoice = SplatChoice(),
+    functions: FunctionVoxels = FunctionVoxels(),
+    budget: Budget = Budget(),
     steps: Steps = SILENT,
-) -> SparseVoxelOctree | Volume | Splats:
+) -> SparseVoxelOctree | Volume | Splats | N3Tree:
     """Write an octree, a volume or splats in another format and return what was written. This is `nerfbake convert`.
 
     Reads `source` and writes `target`, whose format selects what is written. For an octree's format, PlenOctrees,
-    lattices and splats become octrees as in bake_octree(). For a format of splats, convert_splats() is called.
+    lattices and splats become octrees as in bake_octree(). A trained field becomes an octree or, with all of its
+    scenery, a PlenOctree. For a format of splats, convert_splats() is called.
 
     layout    of an octree: child slots for every node (full), or none on the last level (compact)
     no_child  child index that means 'no child' in an octree's file: 0 or -1
@@ -51,6 +58,8 @@ def convert_file(
     codec     of a volume's format: none or zip
     half      store a volume's values as float16
     splats    how splats are read and written
+    functions  how a trained field becomes voxels
+    budget    of a trained field: the lowest allowed quality of `target`, which else becomes `target`.rejected
 
     Arguments that are None keep the value of `source`, or the default of the format. Raises NerfbakeError.
 
@@ -72,8 +81,14 @@ def convert_file(
         if layout or no_child:
             raise UsageError("a volume has no child slots; allowed: no `layout` and no `no_child`")
         return _write_volume(steps, source, target, choice, codec, half=half)
+    if catalog.is_ending(target.ending, "N3Tree"):
+        if layout or no_child or codec or half:
+            raise UsageError("a PlenOctree has no child slots, halves and codecs; allowed: none of these options")
+        return _bake_tree(steps, source, target, functions, budget)
     target.require("SparseVoxelOctree", no_child=no_child, codec=codec)
-    reading = Reading(steps, source, choice=choice)
+    budget.require(target)
+    reading = Reading(steps, source, choice=choice, functions=functions)
+    reading.require(budget)
     if isinstance(reading.scene, Volume):
         _require_axes(reading.scene, choice)
         if half:
@@ -83,8 +98,20 @@ def convert_file(
         raise UsageError("`half` is for volumes; allowed: `nerfbake svo --dtype float16`")
     octree = reading.octree()
     octree = octree.with_layout(layout or octree.layout)
-    target.write(steps, octree, no_child=no_child, codec=codec)
+    with target.writing(steps, octree, no_child=no_child, codec=codec) as written:
+        judge_output(written.path, reading.shown, budget, made_from=source.name, name=target.path, steps=steps)
     return octree
+
+
+def _bake_tree(steps: Steps, source: Source, target: Target, functions: FunctionVoxels, budget: Budget) -> N3Tree:
+    """Bake a trained field to a PlenOctree."""
+    target.require("N3Tree")
+    budget.require(target)
+    reading = Reading(steps, source, FunctionField, functions=functions)
+    tree = reading.tree()
+    with target.writing(steps, tree) as written:
+        judge_output(written.path, reading.shown, budget, made_from=source.name, name=target.path, steps=steps)
+    return tree
 
 
 def _require_axes(volume: Volume, choice: GridChoice) -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 from nerfbake import io
 from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.files import AnySource, FolderTarget, as_source
+from nerfbake.jobs.function_voxels import FunctionVoxels
+from nerfbake.jobs.reading_options import ReadingOptions
 from nerfbake.jobs.readings import Reading, Size, lattice_loss
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
@@ -26,6 +28,7 @@ def bake_lattice(
     resolution: int | tuple[int, int, int] | None = None,
     sigma_min: float | None = None,
     merged: bool = False,
+    functions: FunctionVoxels = FunctionVoxels(),
     budget: Budget = Budget(),
     steps: Steps = SILENT,
     **options: Unpack[LatticeOptions],
@@ -37,6 +40,7 @@ def bake_lattice(
 
     resolution  of a PlenOctree, a lattice or splats, as in bake_octree(); None: its finest, at most 256
     merged      store values once, as rows of float16
+    functions   how a trained field becomes voxels
     sigma_min   and the other options are passed to build_lattice()
 
     >>> bake_lattice("a.npz", "a_lattice", resolution=16, rounds=20).colour.features
@@ -49,7 +53,7 @@ def bake_lattice(
     source = as_source(source)
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     budget.require_folder(target, "LatticeField", (source.path, *budget.inputs))
-    reading = Reading(steps, source)
+    reading = Reading(steps, source, functions=functions.with_others(ReadingOptions(), resolution))
     reading.require(resolution=resolution)
     reading.use_inner_cube()
     if resolution is None:

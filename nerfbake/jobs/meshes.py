@@ -22,6 +22,7 @@ from nerfbake.jobs.files import (
     read_back_as,
 )
 from nerfbake.jobs.fit_state import Clock
+from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.photographs import (
     MeasuredViews,
     PhotographOptions,
@@ -217,6 +218,7 @@ def bake_mesh(
     pictures: MeshViews = MeshViews(),
     options: MeshOptions = MeshOptions(),
     file: MeshFile = MeshFile(),
+    functions: FunctionVoxels = FunctionVoxels(),
     min_psnr: float | None = None,
     steps: Steps = SILENT,
     report: Callable[[MeshResult], None] | None = None,
@@ -230,6 +232,7 @@ def bake_mesh(
     Writes `target`: a file with one texture or with colours at the vertices, depending on its format, or a folder as
     nerf2mesh's stage 1, with the highlights that `nerfbake atlas` bakes. Raises NerfbakeError.
 
+    functions  how a trained field becomes voxels
     min_psnr  lowest allowed mean PSNR on the held-out views, in dB; below it the output becomes `target`.rejected and
               BudgetMissed is raised (exit code 3)
     report    is called with the result, also if min_psnr is missed
@@ -247,7 +250,9 @@ def bake_mesh(
     else:
         Budget(min_psnr=min_psnr).require(place)
     light = None if file.environment is None else _read_light(steps, Source(file.environment))
-    reading = Reading(steps, source, *FIELDS, Stage1, options=upright_without(pictures.views))
+    standing = upright_without(pictures.views)
+    reading = Reading(steps, source, *FIELDS, Stage1, options=standing, functions=functions)
+    reading.require()
     if isinstance(reading.scene, Stage1):
         if isinstance(place, FolderTarget) or pictures.views or light is not None or options != MeshOptions():
             raise UsageError(

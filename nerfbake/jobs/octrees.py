@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Literal
 from nerfbake import memory
 from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
+from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.grids import require_grids, warn_about_halves
 from nerfbake.jobs.reading_options import ReadingOptions
 from nerfbake.jobs.readings import TAKEN, Reading
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import Layout, SparseVoxelOctree
@@ -28,6 +30,7 @@ def bake_octree(
     *,
     resolution: int | tuple[int, int, int] | None = None,
     options: ReadingOptions = ReadingOptions(),
+    functions: FunctionVoxels = FunctionVoxels(),
     resample: Resample = "mean",
     layout: Layout = "full",
     dtype: Literal["float32", "float16"] = "float32",
@@ -42,6 +45,7 @@ def bake_octree(
     NerfbakeError; errors that depend on the arguments alone are raised before anything is read.
 
     options   how the scene becomes an octree
+    functions  how a trained field becomes voxels
     no_child  child index that means 'no child' in the file, 0 or -1; None: the default of the format
 
     resolution, resample, layout, dtype and sigma_min are those of build_octree(), build_octree_from_lattice() and
@@ -55,7 +59,7 @@ def bake_octree(
     source, target = as_source(source), as_target(target)
     target.require("SparseVoxelOctree", no_child=no_child)
     budget.require(target)
-    reading = Reading(steps, source, options=options)
+    reading = Reading(steps, source, options=options, functions=functions)
     reading.require(budget, resolution=resolution, sigma_min=sigma_min, dtype=dtype, resample=resample)
     octree = reading.octree(resolution=resolution, resample=resample, layout=layout, dtype=dtype, sigma_min=sigma_min)
     octree = octree.with_layout(layout)  # of an octree, which is not made anew
@@ -109,6 +113,7 @@ def bake_volume(
     sigma_min: float | None = None,
     up: Literal["y", "z"] = "z",
     options: ReadingOptions = ReadingOptions(in_up="stated"),
+    functions: FunctionVoxels = FunctionVoxels(),
     budget: Budget = Budget(),
     steps: Steps = SILENT,
 ) -> Volume:
@@ -123,6 +128,7 @@ def bake_volume(
     sigma_min   of a PlenOctree, a lattice or splats, as in build_octree()
     up          up axis of `target`; the up axis of `source` is z, or that of `options`
     options     how the scene becomes an octree. By default the axis of splats is up that their file states, else -y
+    functions   how a trained field becomes voxels
 
     Raises NerfbakeError.
 
@@ -137,9 +143,9 @@ def bake_volume(
     form = target.require("Volume", codec=codec)
     budget.require(target)
     wanted = require_grids(form, grids, half=half)
-    reading = Reading(steps, source, options=options)
-    reading.require(budget, taken=TAKEN | {"box": (Splats,)}, resolution=resolution)
-    tree, lattice = (isinstance(reading.scene, kind) for kind in (N3Tree, LatticeField))
+    reading = Reading(steps, source, options=options, functions=functions)
+    reading.require(budget, taken=TAKEN | {"box": (Splats, FunctionField)}, resolution=resolution)
+    tree, lattice = (isinstance(reading.scene, kind) for kind in ((N3Tree, FunctionField), LatticeField))
     octree = reading.octree(resolution=resolution, sigma_min=sigma_min, layout="full" if lattice else "compact")
     if budget.min_psnr is None:
         reading.shown = None  # without a budget, the tree is freed here

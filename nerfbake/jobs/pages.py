@@ -21,6 +21,7 @@ from nerfbake.errors import BudgetMissed, UsageError
 from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.compressions import MAX_LOSS, CompressionGoal, GroundTruth
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
+from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.grids import GridChoice, tell_unused
 from nerfbake.jobs.photographs import with_pictures
 from nerfbake.jobs.pictures import PlacedMesh
@@ -165,6 +166,7 @@ def view_file(
     data: Data | None = None,
     goal: CompressionGoal = CompressionGoal(),
     choice: GridChoice = GridChoice(),
+    functions: FunctionVoxels = FunctionVoxels(),
     cameras: str | None = None,
     photographs: bool = False,
     truth: str | None = None,
@@ -189,6 +191,7 @@ def view_file(
                 page would take more than 6 MB. A source that is already compressed is carried unchanged if neither a
                 goal nor truth is given
     choice      the grids of a volume
+    functions   how a trained field becomes voxels
     cameras     a capture to look from, and to measure min_psnr on; None: the page opens with the front of the scene,
                 and min_psnr is measured on 8 views around it
     photographs  also store the photographs of the cameras, at most 480 pixels wide and high, so that the page can show
@@ -223,7 +226,7 @@ def view_file(
     with written_or_opened(target) as file:
         form = file.require("Page")
         budget.require(file)
-        read = _read(steps, source, request, choice)
+        read = _read(steps, source, request, choice, functions)
         if stage1 is not None and not isinstance(read.scene, BakedAtlas):
             raise UsageError(f"`stage1` needs an atlas, and {source.name} is not one; allowed: an atlas folder")
         look = PageLook(
@@ -318,10 +321,12 @@ class _Content(NamedTuple):
     splats: Splats | None = None
 
 
-def _read(steps: Steps, source: Source, request: _Request, choice: GridChoice) -> _Content:
+def _read(steps: Steps, source: Source, request: _Request, choice: GridChoice, functions: FunctionVoxels) -> _Content:
     """Read the source."""
     standing = upright_without(request.photographs.cameras)
-    reading = Reading(steps, source, *FIELDS, Meshes, Stage1, BakedAtlas, choice=choice, options=standing)
+    kinds = *FIELDS, Meshes, Stage1, BakedAtlas
+    reading = Reading(steps, source, *kinds, choice=choice, options=standing, functions=functions)
+    reading.require()
     tell_unused(steps, source, reading.scene)
     if isinstance(reading.scene, Volume):
         if request.data == "compressed" or request.anew:

@@ -11,12 +11,14 @@ from typing import Any, Literal, TypeAlias, Unpack
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, Source, as_source
+from nerfbake.jobs.function_voxels import FunctionVoxels, World
 from nerfbake.jobs.grids import GridChoice
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import views_of
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.image import WHITE, Animation, Depth, Image
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Meshes
@@ -29,6 +31,7 @@ from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
 from nerfbake.stages.field_to_image import RenderOptions, render_field
+from nerfbake.stages.function_to_image import render_function
 from nerfbake.stages.lattice_to_image import render_lattice
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.octree_to_octree import cut_octree
@@ -37,7 +40,7 @@ from nerfbake.stages.stage1_to_image import render_stage1
 
 # Scenes with surfaces or splats, for which options of fields have no effect.
 Shapes: TypeAlias = Meshes | Stage1 | BakedAtlas | Splats
-Field: TypeAlias = RadianceField | LatticeField | Shapes
+Field: TypeAlias = RadianceField | LatticeField | FunctionField | Shapes
 
 _PLAIN = {"transmittance_cut": 1e-4, "lookup": "nearest"}  # the defaults of render_field()
 EDGE = 800  # width and height of the pictures of an orbit, in pixels
@@ -53,6 +56,7 @@ class ViewSelection:
     turntable  number of views around the scene
     size       (W, H) pixels; None: that of the cameras, 800 x 800 for an orbit
     samples    rays along each edge of a pixel; None: from the cameras, else 1
+    world      of a trained field: that of the user's cameras, or that of the network
     """
 
     cameras: str | None = None
@@ -61,6 +65,7 @@ class ViewSelection:
     turntable: int | None = None
     size: tuple[int, int] | None = None
     samples: int | None = None
+    world: World = "original"
 
     @property
     def several(self) -> bool:
@@ -173,14 +178,15 @@ def render_views(
 ) -> list[str]:
     """Render views of a scene and return the paths of the pictures. This is `nerfbake render`.
 
-    Reads `source` (a PlenOctree, an octree, a volume, a lattice, splats, a mesh, a stage-1 folder or an atlas), the
-    cameras and the mesh. Writes `pictures`, with their depth and alpha files. All output paths are checked before the
-    first picture is rendered. Raises NerfbakeError.
+    Reads `source` (a PlenOctree, an octree, a volume, a lattice, a trained field, splats, a mesh, a stage-1 folder or
+    an atlas), the cameras and the mesh. Writes `pictures`, with their depth and alpha files. All output paths are
+    checked before the first picture is rendered. Raises NerfbakeError.
 
     lod      level of an octree to render
     choice   the grids of a volume
     options  are passed to render_field(); for a lattice to render_lattice(), which renders like the program that
-             trained it and ignores the lookup. Splats and triangles take a background only
+             trained it and ignores the lookup; for a trained field to render_function(), whose default is the
+             background that the field was trained with. Splats and triangles take a background only
 
     >>> render_views("a.npz", "views", ViewSelection(turntable=2, size=(32, 32)))
     ['views/0000.png', 'views/0001.png']
@@ -192,7 +198,7 @@ def render_views(
     pictures = pictures if isinstance(pictures, PictureOutputs) else PictureOutputs(out=str(pictures))
     shots.require()
     pictures.require(several=shots.several)
-    field = _read(steps, source, lod, choice, alone=mesh is None)
+    field = _read(steps, source, lod, choice, shots.world, alone=mesh is None)
     views = shots.of(steps, field, source.name)
     together = pictures.together(several=shots.several)
     paths = [pictures.out] if together else pictures.settle(views.cameras, several=shots.several)
@@ -208,15 +214,18 @@ def render_views(
     return paths
 
 
-def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, *, alone: bool) -> Field:
+def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, world: World, *, alone: bool) -> Field:
     """Return the field of a scene, built once for the cameras and all pictures, or its triangles.
 
-    alone: there is no mesh in the pictures. A lattice is then returned unchanged, otherwise it becomes an octree.
+    alone: there is no mesh in the pictures. Lattices and trained fields are then returned unchanged, otherwise they
+    become octrees.
     """
     shapes = (Splats, Meshes, Stage1, BakedAtlas) if alone else ()
-    others = () if lod is not None else (N3Tree, Volume, LatticeField, *shapes)
-    reading = Reading(steps, source, *others, SparseVoxelOctree, choice=choice)
-    if alone and isinstance(reading.scene, Shapes | LatticeField):
+    others = () if lod is not None else (N3Tree, Volume, LatticeField, FunctionField, *shapes)
+    placed = FunctionVoxels(world=world)
+    reading = Reading(steps, source, *others, SparseVoxelOctree, choice=choice, functions=placed)
+    reading.require()
+    if alone and isinstance(reading.scene, Shapes | LatticeField | FunctionField):
         return reading.scene
     if lod is not None:
         with source.blamed(steps, f"cutting at level {lod}"):
@@ -229,7 +238,8 @@ def _renderer(
 ) -> Callable[..., Image]:
     """Return the function that renders a camera.
 
-    A lattice has its own lookup, so that option is dropped. Raises UsageError for options that the scene does not have.
+    Lattices and trained fields have their own lookup, so that option is dropped. Raises UsageError for options that the
+    scene does not have.
     """
     if isinstance(field, Shapes):
         noun = "splats" if isinstance(field, Splats) else "triangles"
@@ -241,6 +251,11 @@ def _renderer(
             return partial(render_splats, field, samples=samples, background=background)
         render: Any = render_meshes if isinstance(field, Meshes) else render_stage1
         return partial(render, field, samples=samples, background=background)
+    if isinstance(field, FunctionField):
+        given: dict[str, Any] = {name: value for name, value in options.items() if name != "lookup"}
+        if isinstance(field.background, tuple):
+            given = {"background": field.background, **given}
+        return partial(render_function, field, samples=samples, **given)
     if isinstance(field, LatticeField):
         if "lookup" in options:
             del options["lookup"]

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, Literal
 from nerfbake.errors import InvalidScene, Problem, UsageError
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import Source
+from nerfbake.jobs.function_voxels import FunctionVoxels, bake_field
 from nerfbake.jobs.grids import GridChoice, tell_unused
 from nerfbake.jobs.reading_options import ReadingOptions
 from nerfbake.jobs.splat_voxels import sample_splats
 from nerfbake.jobs.steps import Steps
+from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.n3tree import N3Tree
@@ -30,22 +32,27 @@ if TYPE_CHECKING:
 _FRAMES, _EDGE = 4, 200  # number and edge of the pictures on which the loss of a conversion is measured
 
 Size = int | tuple[int, int, int]
-FIELDS = (N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats)  # all that becomes an octree or a field
-_NOUNS = dict(zip(FIELDS, ("a PlenOctree", "an octree", "a volume", "a lattice", "splats"), strict=True))
-_RESAMPLED = (N3Tree, LatticeField, Splats)
+# All that becomes an octree or a field.
+FIELDS = (N3Tree, SparseVoxelOctree, Volume, LatticeField, Splats, FunctionField)
+_WORDS = ("a PlenOctree", "an octree", "a volume", "a lattice", "splats", "a trained field")
+_NOUNS = dict(zip(FIELDS, _WORDS, strict=True))
+_RESAMPLED = (N3Tree, LatticeField, Splats, FunctionField)
 # The scenes on which an option has an effect. Octrees and volumes have their own voxels.
 TAKEN: dict[str, tuple[type, ...]] = {
     "resolution": _RESAMPLED,
     "sigma_min": _RESAMPLED,
     "dtype": _RESAMPLED,
     "resample": (N3Tree,),
-    "box": (N3Tree, Splats),
-    "box of six numbers": (Splats,),
-    "basis": (LatticeField, Splats),
+    "box": (N3Tree, Splats, FunctionField),
+    "box of six numbers": (Splats, FunctionField),
+    "basis": (LatticeField, Splats, FunctionField),
     "scale": (LatticeField,),
     "opacity_min": (Splats,),
     "in_up": (Splats,),
     "epochs": (Splats,),
+    "scenery": (FunctionField,),
+    "world": (FunctionField,),
+    "seen_from": (FunctionField,),
 }
 _DEFAULTS = {"resample": "mean", "dtype": "float32"}  # of all other options it is None
 
@@ -89,18 +96,23 @@ class Reading:
         *kinds: type,
         choice: GridChoice = GridChoice(),
         options: ReadingOptions = ReadingOptions(),
+        functions: FunctionVoxels = FunctionVoxels(),
     ) -> None:
         """Read a scene of one of these types; by default of one that becomes an octree. Raises NerfbakeError.
 
-        choice   the grids of a volume, and its up axis; of splats the axis alone
-        options  how it becomes an octree
+        choice     the grids of a volume, and its up axis; of splats the axis alone
+        options    how it becomes an octree
+        functions  how a trained field becomes voxels; the box and the basis of `options` come first
         """
         read = source.read_with_format(steps, *(kinds or FIELDS))
         if isinstance(read.scene, Splats):
             choice, options = _with_axis(choice, options)
-        self._steps, self._source, self._choice, self._options = steps, source, choice, options
+        self._steps, self._source, self._choice = steps, source, choice
+        self._options, self._functions = options, functions
         self.data = read.data
         self.scene = self.shown = choice.of(steps, source, read.scene)
+        if isinstance(self.scene, FunctionField):
+            self.scene = self.shown = functions.placed(self.scene)
         self._held_out: HeldOut | None = None
 
     def require(
@@ -115,14 +127,15 @@ class Reading:
         if isinstance(self.scene, Splats):
             self._options.require(budget, self.scene)
         given = {name for name, value in options.items() if value not in (None, _DEFAULTS.get(name))}
-        given |= self._options.given
+        given |= self._options.given | self._functions.given
         for name in (name for name in taken if name in given):
             if not isinstance(self.scene, taken[name]):
                 option, *more = name.split(maxsplit=1)
                 text = " ".join([f"`{option}`", *more])
                 *others, last = (_NOUNS[kind] for kind in taken[name])
                 allowed = f"{', '.join(others)} or {last}" if others else last
-                raise UsageError(f"{text} has no effect on {_NOUNS[type(self.scene)]}; allowed: with {allowed}")
+                own = _NOUNS.get(type(self.scene), "triangles")
+                raise UsageError(f"{text} has no effect on {own}; allowed: with {allowed}")
 
     @property
     def held_out(self) -> HeldOut | None:
@@ -131,6 +144,7 @@ class Reading:
 
     def use_inner_cube(self, *, keep: bool = False) -> None:
         """Use the inner cube of a scene with scenery alone, and print that. keep: keep the whole scene as `scenery`."""
+        self._bake()
         if not isinstance(self.scene, N3Tree) or self.scene.shells == 1:
             return
         with self._source.blamed(self._steps, "reading the inner cube"):
@@ -142,6 +156,7 @@ class Reading:
 
     def tell_scenery(self) -> None:
         """Print that the scenery is used, of a scene that has it."""
+        self._bake()
         if isinstance(self.scene, N3Tree) and self.scene.shells > 1:
             self._steps.say(f"{self._source.name}: uses all of the scene, also the scenery around the inner cube")
 
@@ -160,6 +175,9 @@ class Reading:
         volumes have none. Raises NerfbakeError.
         """
         steps, source = self._steps, self._source
+        if isinstance(self.scene, FunctionField):
+            self._bake(resolution, sigma_min)
+            resolution = None  # the tree has it
         made: dict[str, Any] = {"resolution": resolution, "layout": layout, "dtype": dtype, "sigma_min": sigma_min}
         if self._options.box == "inner":
             self.use_inner_cube()
@@ -188,6 +206,7 @@ class Reading:
         """
         from nerfbake.stages.scene_to_field import build_field
 
+        self._bake()
         if isinstance(self.scene, LatticeField | Splats):
             self.octree()
         tell_unused(self._steps, self._source, self.scene)
@@ -197,6 +216,18 @@ class Reading:
                 allowed = f"at least one, or there is {visible}"
                 raise InvalidScene(Problem("the field", "has no leaf with a density", allowed))
             return field
+
+    def tree(self) -> N3Tree:
+        """Return the PlenOctree of a trained field, with its scenery. Prints what was baked, and the loss."""
+        self._bake()
+        found: N3Tree = self.scene
+        return found
+
+    def _bake(self, resolution: Size | None = None, sigma_min: float | None = None) -> None:
+        """Make a PlenOctree of a trained field, which then takes its place; `shown` stays the field itself."""
+        if isinstance(self.scene, FunctionField):
+            options = self._functions.with_others(self._options, resolution)
+            self.scene, self.shown = bake_field(self._steps, self._source, self.scene, options, sigma_min)
 
     def _finest(self, resolution: Size | None) -> Size | None:
         """Return the resolution of a whole cube, at most the largest of an octree; print what its inner cube gets.

@@ -10,6 +10,7 @@ from nerfbake import io, progress
 from nerfbake.jobs.budgets import Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial
+from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.photographs import (
     MeasuredViews,
     PhotographOptions,
@@ -94,6 +95,7 @@ def bake_splats(
     pictures: SplatsViews = SplatsViews(),
     *,
     options: SplatsOptions = SplatsOptions(),
+    functions: FunctionVoxels = FunctionVoxels(),
     min_psnr: float | None = None,
     steps: Steps = SILENT,
     report: Callable[[SplatsResult], None] | None = None,
@@ -105,6 +107,7 @@ def bake_splats(
     state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept under this
     name. Raises NerfbakeError.
 
+    functions  how a trained field becomes voxels
     report  is called with the result, also if it is below `min_psnr`
 
     >>> options = SplatsOptions(splats=400, epochs=4)
@@ -115,7 +118,8 @@ def bake_splats(
     source, target = as_source(source), as_target(target)
     pictures.photographs.require()
     _require(target, min_psnr)
-    reading = Reading(steps, source)
+    reading = Reading(steps, source, functions=functions)
+    reading.require()
     reading.use_inner_cube()
     field = reading.field(visible="nothing to fit splats to")
     own = reading.shown if isinstance(reading.shown, Splats) else None

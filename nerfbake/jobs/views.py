@@ -6,9 +6,11 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from nerfbake import io, progress
+from nerfbake.jobs.function_voxels import own_views
 from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.origin import no_origin, origin_text
 from nerfbake.scene.page import COVER
@@ -59,6 +61,7 @@ def views_of(
     size: tuple[int, int] | None = None,
     samples: int | None = None,
     origin: Floats | None = None,
+    own: bool = False,
 ) -> Cameras:
     """Return the cameras of a capture; without one, an orbit of `frames` views, `edge` pixels wide and high.
 
@@ -66,7 +69,10 @@ def views_of(
     size     (W, H) pixels; None: that of the capture or orbit
     samples  rays along each edge of a pixel; None: from the capture, else 1
     origin   the point of the capture's world that the scene is relative to; None: the scene's own origin
+    own      without a capture, use views between the cameras that a trained field has, instead of an orbit
     """
+    if cameras is None and own and isinstance(scene, FunctionField) and scene.cameras is not None:
+        return own_views(scene, frames, edge).chosen(size=size, samples=samples)
     if cameras is None:
         width, height = size or (edge, edge)
         with steps.phase("framing"), io.blame(name):

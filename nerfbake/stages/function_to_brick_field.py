@@ -69,8 +69,8 @@ def bake_function(
     >>> network = Network(Frequencies(np.zeros(0)), fog, np.ones(1, np.float32), 0.0, Activation("relu"), grey)
     >>> field = FunctionField(network, np.eye(3, 4), np.array([[-1.0] * 3, [1.0] * 3]))
     >>> made = bake_function(field, resolution=8, basis="SH1")
-    >>> made.resolution, made.sample(np.zeros((1, 3))).tolist()
-    (8, [[0.0, 0.0, 0.0, 9.0]])
+    >>> made.resolution, bool((made.values[:, -1] == 9).all())
+    (8, True)
     """
     field.require_usable()
     wanted = parse_basis(basis or _native_basis(field))
