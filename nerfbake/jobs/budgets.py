@@ -21,8 +21,8 @@ class Budget:
 
     min_psnr  lowest allowed mean PSNR of its pictures against those of its source, in dB; None: no limit, and no
               pictures are rendered
-    cameras   a capture with the views to compare; None: 8 views around the scene, or of a trained field between its
-              cameras
+    cameras   a capture with the views to compare; None: 8 views around the scene, or 8 of those that a
+              trained field has
     samples   rays along each edge of a pixel; None: from the cameras, else 1
     """
 

@@ -32,7 +32,7 @@ from nerfbake.stages.scenes_to_comparison import compare_scenes
 class ComparedViews:
     """The views that are compared.
 
-    cameras  a capture; None: 8 views around the first scene, or of a trained field between its cameras
+    cameras  a capture; None: 8 views around the first scene, or 8 of those that a trained field has
     truth    a folder with a photograph NAME.png for each of the cameras; None: no photographs
     size     (W, H) pixels; None: that of the photographs or cameras, 400 x 400 for an orbit
     samples  rays along each edge of a pixel; None: from the cameras, else 1

@@ -69,7 +69,7 @@ def views_of(
     size     (W, H) pixels; None: that of the capture or orbit
     samples  rays along each edge of a pixel; None: from the capture, else 1
     origin   the point of the capture's world that the scene is relative to; None: the scene's own origin
-    own      without a capture, use views between the cameras that a trained field has, instead of an orbit
+    own      without a capture, use some of the cameras that a trained field has, instead of an orbit
     """
     if cameras is None and own and isinstance(scene, FunctionField) and scene.cameras is not None:
         return own_views(scene, frames, edge).chosen(size=size, samples=samples)

@@ -295,6 +295,16 @@ class Cameras(Scene):
         cameras = self.cameras if size is None else tuple(camera.resized(*size) for camera in self.cameras)
         return replace(self, cameras=cameras, samples=self.samples if samples is None else samples)
 
+    def few(self, count: int, edge: int) -> Cameras:
+        """At most `count` of these cameras, evenly chosen, with pictures of at most `edge` pixels along an edge."""
+        step = max(len(self.cameras) / count, 1)
+        chosen = []
+        for place in range(min(count, len(self.cameras))):
+            camera = self.cameras[int(step * (place + 0.5))]
+            scale = min(edge / max(camera.width, camera.height), 1)
+            chosen.append(camera.resized(max(1, round(scale * camera.width)), max(1, round(scale * camera.height))))
+        return replace(self, cameras=tuple(chosen))
+
     def relative_to(self, origin: npt.NDArray[np.float64]) -> Cameras:
         """These cameras in a world whose origin is this point (3,) of theirs."""
         if not origin.any():

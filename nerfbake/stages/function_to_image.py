@@ -44,8 +44,9 @@ def render_function(
     """Render the function itself as seen by a camera.
 
     Samples are a 1,024th of the box apart, or of a contracted field's inner cube, and farther apart outside of that
-    cube: as far as contraction brings them together. Rays begin and end at the field's `near` and `far` (of a
-    contracted field, at 64 trained units at the latest), and pass over the cells that `field.filled` leaves out.
+    cube: as far as contraction brings them together. Rays begin at the field's `near`, and pass over the cells that
+    `field.filled` leaves out. They end where they leave the box or, of a contracted field, at `far`, and at 64 trained
+    units at the latest.
 
     If the field's background is the colour of the last sample, that colour is behind every ray, whatever `background`
     is, and the picture is opaque. For background, transmittance_cut and samples, see render_field(). Raises
@@ -178,9 +179,9 @@ def _walk(field: FunctionField, eye: Floats, looks: Points, start: Floats | floa
     """Return where rays from a world point go, in trained units."""
     origin, ways = transform_points(eye, field.frame), rotate(looks, field.frame[:, :3] / field.scale)
     begin = np.maximum(np.full(len(looks), field.near), start)
-    end = np.full(len(looks), field.far)
+    end = np.full(len(looks), min(field.far, FARTHEST) if field.contracted else np.inf)
     if field.contracted:
-        edge, end = 2.0, np.minimum(end, FARTHEST)
+        edge = 2.0
     else:
         edge = float((field.box[1] - field.box[0]).max())
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -19,7 +19,6 @@ FIELD_OF_VIEW = np.radians(40)
 _MARGIN = 1.05
 _CENTRES = 1 << 17  # largest number of leaves for the box without strays
 _STRAYS = 0.005  # fraction of the leaves to ignore at each end of an axis
-_TURNED = 0.1  # length of the sum of two unit vectors that point away from each other
 AZIMUTH, ELEVATION = np.radians(-50), np.radians(28)
 
 
@@ -54,32 +53,6 @@ def scatter_cameras(scene: Visible, *, frames: int, edge: int, zoom: float = 1.0
     centre = corners.mean(axis=0)
     poses = [look_from(centre, away, distance, axes) for away in fibonacci(frames)]
     return _cameras(poses, edge, edge, zoom, corners)
-
-
-def cameras_between(cameras: Cameras, *, frames: int, edge: int) -> Cameras:
-    """Return cameras half-way between neighbouring cameras, `edge` pixels along their longer edge.
-
-    They show what none of the cameras shows. Of one camera, and of cameras in one place, the same ones are returned.
-    """
-    eyes, made = cameras.eyes, []
-    for place in np.linspace(0, len(eyes) - 1, min(frames, len(eyes))).round().astype(int).tolist():
-        camera = cameras.cameras[place]
-        away = np.square(eyes - eyes[place]).sum(axis=1)
-        away[away == 0] = np.inf
-        other = cameras.cameras[int(np.argmin(away))]
-        pose = camera.pose.copy()
-        back, right = camera.pose[:3, 2] + other.pose[:3, 2], camera.pose[:3, 0] + other.pose[:3, 0]
-        if np.isfinite(away.min()) and length(back) > _TURNED:
-            back = back / length(back)
-            right = right - back * float((right * back).sum())
-            if length(right) > _TURNED:
-                right = right / length(right)
-                pose[:3, :3] = np.stack([right, np.cross(back, right), back], axis=1)
-                pose[:3, 3] = (camera.pose[:3, 3] + other.pose[:3, 3]) / 2
-        scale = edge / max(camera.width, camera.height)
-        size = max(1, round(scale * camera.width)), max(1, round(scale * camera.height))
-        made.append(replace(camera, pose=pose, name=f"{len(made):04}").resized(*size))
-    return Cameras(tuple(made))
 
 
 def without_strays(field: RadianceField) -> RadianceField:

@@ -20,6 +20,7 @@ from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.environment import EnvironmentMap
+from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.image import Depth, Image
 from nerfbake.scene.lattice_field import LatticeField
 from nerfbake.scene.mesh import Mesh, Meshes, joined_meshes, vertex_box
@@ -29,6 +30,7 @@ from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import SpecularField, Stage1
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.volume import Volume, edges_of
+from nerfbake.stages._function_summary import summary_of_function
 
 
 def summary_of_stage1(stage1: Stage1) -> dict[str, Any]:
@@ -293,6 +295,7 @@ def summary_of_splats(splats: Splats) -> dict[str, Any]:
 Known = (
     N3Tree
     | LatticeField
+    | FunctionField
     | SparseVoxelOctree
     | Volume
     | Meshes
@@ -310,7 +313,8 @@ def summarise_scene(scene: Known) -> dict[str, Any]:
     """Return the facts of a scene as JSON types.
 
     For trees: kind, basis, resolution, nodes and leaves by level, world box, value ranges and size in memory. For a
-    lattice field also colours, densities and notes on ignored data. For a volume the same per grid, and the file's kind
+    lattice field also colours, densities and notes on ignored data. For a trained field its network and boxes. For a
+    volume the same per grid, and the file's kind
     of checksum. For a mesh triangles, pieces and colours. For cameras pictures, lenses and positions. For stage 1 and
     atlases textures, maps and errors. For splats counts, boxes and ranges.
 
@@ -469,6 +473,7 @@ def _ranges(found: Extremes, data_format: str) -> dict[str, Any]:
 _SUMMARIES: dict[type, Callable[[Any], dict[str, Any]]] = {
     N3Tree: _of_n3tree,
     LatticeField: summary_of_lattice,
+    FunctionField: summary_of_function,
     SparseVoxelOctree: _of_octree,
     Volume: _of_volume,
     Meshes: summary_of_meshes,
