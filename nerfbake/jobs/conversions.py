@@ -81,7 +81,7 @@ def convert_file(
         if layout or no_child:
             raise UsageError("a volume has no child slots; allowed: no `layout` and no `no_child`")
         return _write_volume(steps, source, target, choice, codec, half=half)
-    if catalog.is_ending(target.ending, "N3Tree"):
+    if _is_ending(target, "N3Tree") and not _is_ending(target, "SparseVoxelOctree"):
         if layout or no_child or codec or half:
             raise UsageError("a PlenOctree has no child slots, halves and codecs; allowed: none of these options")
         return _bake_tree(steps, source, target, functions, budget)

@@ -18,7 +18,7 @@ from nerfbake.stages.scene_to_cameras import scatter_cameras
 SCENERY = 0.05  # share of the light from outside of the middle cubes, from which a field is scenery
 _RESOLUTION = 64  # of the lattice on which light is counted
 _MIDDLE = 1  # the shell that still belongs to the middle
-_CLEAR = 0.1  # cells that absorb less of every ray are fog, which does not count for the box of an object
+_CLEAR = 0.02  # cells that absorb less of every ray are fog, which does not count for the box of an object
 _AROUND, _EDGE = 48, 256  # number of cameras around a field without cameras, and their pixels along an edge
 _STRAYS = 2e-4  # share of the light that is left out at each side
 
@@ -56,7 +56,9 @@ def choose_function_part(
     cameras = cameras or cameras_of(field)
     if box is not None:
         return FunctionPart(box, _reach(field, box, MAX_SHELLS) if scenery else 1)
-    focus = inner_cube_of(cameras) if len(cameras.cameras) > 1 else _cube(field.world_box)
+    focus, own = inner_cube_of(cameras) if len(cameras.cameras) > 1 else None, _cube(field.world_box)
+    if focus is None or (not field.contracted and own[1, 0] - own[0, 0] < focus[1, 0] - focus[0, 0]):
+        focus = own
     shells = _reach(field, focus, SHELLS)
     with progress.part(0, 0.7):
         cells = find_cells(field, focus, _RESOLUTION, shells, 0.0)

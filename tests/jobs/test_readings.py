@@ -31,6 +31,7 @@ from nerfbake.jobs.steps import SILENT
 from tests.jobs.listener import Listener
 from tests.support.brick_fields import some_shelled_field
 from tests.support.compression import with_fewer_rays
+from tests.support.functions import soft_file
 from tests.support.lattices import SHAPE, svox2, svox2_file
 from tests.support.scenes import assert_same_octree
 from tests.support.splats import ball_of_splats
@@ -41,8 +42,13 @@ FAST = {
     "nerfbake.jobs.splat_voxels._EDGE": 16,
     "nerfbake.jobs.splat_voxels._JUDGES": 1,
     "nerfbake.jobs.readings._EDGE": 16,
+    "nerfbake.jobs.function_voxels.RESOLUTION": 16,
+    "nerfbake.jobs.function_voxels._EDGE": 4,
+    "nerfbake.scene.function_field._COARSE_GRID": 16,
+    "nerfbake.stages.function_to_part._RESOLUTION": 16,
+    "nerfbake.stages.function_to_image.STEPS": 32,
 }
-SCENES = ("tree.npz", "octree.svo.npz", "own.vdb", "smoke.vdb", "grid.npz", "ball.ply")
+SCENES = ("tree.npz", "octree.svo.npz", "own.vdb", "smoke.vdb", "grid.npz", "ball.ply", "soft.tar")
 REFIT, STEP = jobs.RefitOptions(epochs=1, samples=1), jobs.CompressionGoal(step=0.5)
 LIKE = jobs.RefitReference(like="tree.npz", frames=2, edge=16)
 LOOK, TINY = jobs.MeshViews(frames=2, edge=16), jobs.MeshOptions(triangles=(100,), texture=64)
@@ -82,6 +88,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save(folder / "smoke.vdb", replace(build_vdb(octree, grids=("density", "Cd")), frame=None))
     (folder / "grid.npz").write_bytes(svox2_file(svox2(size=4) | {"radius": np.array(SHAPE) / 10}))
     save(folder / "ball.ply", ball_of_splats(60))
+    (folder / "soft.tar").write_bytes(soft_file())
     save(folder / "room.npz", build_n3tree(some_shelled_field(basis=1)))
     return folder
 
@@ -107,7 +114,8 @@ def test_every_command_takes_every_scene(scene: str, command: str, tmp_path: Pat
     load(out, made)
     said = [line for line in listener.said if line.startswith(f"{scene}: ")]
     told = {"grid.npz": "dB against pictures of the lattice", "ball.ply": "pictures of the splats"}
-    if scene in told and command != "like":
+    told["soft.tar"] = "pictures of the field itself"
+    if scene in told and (command != "like" or scene == "soft.tar"):
         assert sum(told[scene] in line for line in said) == 1
     if scene == "smoke.vdb":
         by_density = "the octree gets the density only, without Cd"
@@ -157,6 +165,8 @@ READ: dict[str, Any] = {
     "basis": "SH4", "scale": 2.0, "in_up": "y", "epochs": 0, "opacity_min": 0.5, "box": "all",
 }  # fmt: skip
 
+FUNCTIONS: dict[str, Any] = {"scenery": False, "world": "trained", "seen_from": "transforms.json"}
+
 
 @pytest.mark.usefixtures("fast")
 @pytest.mark.parametrize("scene", SCENES)
@@ -172,6 +182,13 @@ def test_options_are_refused_where_they_have_no_effect(scene: str) -> None:
         else:
             with pytest.raises(UsageError, match=f"^`{name}` has no effect on (a|an|splats).*; allowed: with "):
                 reading.require(**{name: value})
+    for name, value in FUNCTIONS.items():
+        reading = Reading(SILENT, jobs.Source(scene), functions=jobs.FunctionVoxels(**{name: value}))
+        if scene == "soft.tar":
+            reading.require()
+        else:
+            with pytest.raises(UsageError, match=f"^`{name}` has no effect on .*; allowed: with a trained field$"):
+                reading.require()
     for name, value in READ.items():
         reading = Reading(SILENT, jobs.Source(scene), options=jobs.ReadingOptions(**{name: value}))
         if isinstance(reading.scene, TAKEN[name]):
