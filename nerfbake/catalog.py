@@ -150,7 +150,7 @@ FORMATS = (
     Format("ply", "Meshes", ".ply", "mesh.ply", "PLY mesh with vertex colours"),
     Format("ply", "Splats", ".ply", "splat.ply", "Gaussian splats (3DGS)"),
     Format("spz", "Splats", ".spz", "splat.spz", "Gaussian splats, compressed (Niantic)", in_gzip=True),
-    Format("sog", "Splats", ".sog", "splat.sog", "Gaussian splats, compressed (PlayCanvas)", writable=False),
+    Format("sog", "Splats", ".sog", "splat.sog", "Gaussian splats, compressed (PlayCanvas)"),
     Format("ksplat", "Splats", ".ksplat", "splat.ksplat", "Gaussian splats (GaussianSplats3D)", writable=False),
     Format("splat", "Splats", ".splat", "splat.splat", "Gaussian splats, 32 bytes each", writable=False),
 )

@@ -147,6 +147,7 @@ class SplatFormat(FileFormat, Protocol):
 
     MOST_DEGREE: int  # of the spherical harmonics that it can store
     KEEPS_ORIGIN: bool  # False: positions of splats far from 0 are written relative to their origin
+    # Optional: in_order(scene) returns the splats in the order in which encode() writes them.
     # Optional: readers_note(**options) returns which programs cannot read what encode() writes, or ''.
 
 

@@ -168,6 +168,8 @@ def convert_splats(
     if splats.origin.any() and not module.KEEPS_ORIGIN:
         steps.say(f"{target.name}: {lost_origin(splats.origin, form.suffix)}")
         splats = replace(splats, origin=no_origin())
+    if (ordered := getattr(module, "in_order", None)) is not None:  # so that rows can be compared
+        splats = ordered(splats)
     kept = splats.with_degree(module.MOST_DEGREE)
     with (
         target.writing(steps, kept, **options),

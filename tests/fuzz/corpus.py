@@ -307,6 +307,7 @@ def _splats(name: str) -> Iterator[bytes]:
         return
     if name == "sog":
         yield from (sog_zip(files) for files in _sogs())
+        yield _encoded(name, splats(5, degree=1))
         yield sog_zip({f"a/{name}": data for name, data in sog_files(splats(5, degree=0)).items()})
         return
     yield _encoded(name, splats(5))

@@ -1,4 +1,6 @@
-"""Read Gaussian splats from PlayCanvas' .sog: a zip archive of meta.json and lossless WebP pictures, a pixel a splat.
+"""Read and write Gaussian splats as PlayCanvas' .sog: a zip archive of meta.json and lossless WebP pictures.
+
+In most pictures a pixel stands for a splat.
 
     means_l, means_u   16 bits: t = min + (max - min) (low + 256 high) / 65535, x = sign(t) (e^|t| - 1)
     quats              red green blue: (v / 255 * 2 - 1) / sqrt 2; alpha 252 to 255: which of w x y z is left out
@@ -13,13 +15,15 @@ Splats are antialiased if meta.json has "antialias": true (older) or "model": "a
 A scene of several levels is a lod-meta.json with a tree; its leaves name ranges of rows in folders with a meta.json
 each, by level. Level 0 is the finest.
 
+sog_writer.py writes version 2.
+
 Source: playcanvas/splat-transform (read-sog, read-sog-v1, read-lod).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -29,6 +33,8 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.splat.ply import exp_or_nan, sigmoid_or_nan, with_largest
+from nerfbake.formats.splat.sog_writer import archive_of
+from nerfbake.formats.splat.sog_writer import in_order as in_order
 from nerfbake.formats.wire.json import key_place, kind_of, parse_object, shorten, table, whole
 from nerfbake.formats.wire.picture import decode_lossless_webp
 from nerfbake.formats.wire.zip_reader import ZipFolder, npz_keys, own_names
@@ -39,6 +45,8 @@ from nerfbake.scene.splats import SplatRows, Splats, join_splats, splats_in_bloc
 
 Bytes = npt.NDArray[np.uint8]
 META, LOD = "meta.json", "lod-meta.json"
+MOST_DEGREE = 3
+KEEPS_ORIGIN = False
 _WIDTHS = (0, 3, 8, 15)  # pixels of an entry of the palette, by degree
 _A_ROW = 64  # entries of the palette
 _PALETTE = 1 << 16  # entries at most: a label has 16 bits
@@ -53,6 +61,11 @@ _NAME = re.compile(r"[^/\\:\0]{1,200}")
 def recognise(view: memoryview) -> bool:
     """Return True for an archive with a meta.json, at its top or in a folder."""
     return any(name.rpartition("/")[2] in (META, LOD) for name in own_names(npz_keys(view)))
+
+
+def encode(scene: Splats) -> Iterator[bytes]:
+    """Encode splats in version 2, in another order, with codebooks that are fitted to them. Raises InvalidScene."""
+    yield archive_of(scene)
 
 
 def decode(view: memoryview) -> Splats:

@@ -224,6 +224,13 @@ def decode_lossless_webp(view: memoryview, name: str, most: int) -> npt.NDArray[
     return pixels
 
 
+def encode_lossless_webp(pixels: npt.NDArray[np.uint8]) -> bytes:
+    """Encode data (H, W, 4) as a lossless WebP that keeps the colours of transparent pixels."""
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "WEBP", lossless=True, exact=True)
+    return file.getvalue()
+
+
 _WEBP_HEAD = 64  # bytes: of the file, VP8X, and the start of VP8L
 
 

@@ -1,0 +1,77 @@
+"""Splats written as .sog, judged by gaussforge, and what the codebooks lose."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nerfbake import Splats, load, measure_splats, save
+from nerfbake.formats.splat import sog, sog_writer
+from nerfbake.jobs import convert_splats
+from tests.formats.splat.test_ply import assert_same, columns_of, converted
+from tests.support.splats import splats
+
+
+def written(scene: Splats) -> bytes:
+    return b"".join(sog.encode(scene))
+
+
+def assert_near(found: Splats, scene: Splats) -> None:
+    """As near as the format's steps are, for few splats."""
+    np.testing.assert_allclose(found.means, scene.means, atol=3e-4)
+    np.testing.assert_allclose(np.log(found.scales), np.log(scene.scales), atol=0.03)
+    assert np.abs((found.quats * scene.quats).sum(axis=1)).min() > 1 - 1e-4
+    np.testing.assert_allclose(found.opacity, scene.opacity, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(found.sh[:, 0], scene.sh[:, 0], atol=0.01)
+    np.testing.assert_allclose(found.sh[:, 1:], scene.sh[:, 1:], atol=0.01)
+    assert found.antialiased == scene.antialiased
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_there_and_back_along_a_curve(degree: int, tmp_path: Path) -> None:
+    scene = splats(120, degree=degree, antialiased=degree == 1)
+    save(tmp_path / "a.sog", scene)
+    ordered = sog_writer.in_order(scene)
+    assert_near(load(tmp_path / "a.sog", Splats), ordered)
+    assert sorted(map(tuple, ordered.means.tolist())) == sorted(map(tuple, scene.means.tolist()))
+    steps = [np.linalg.norm(np.diff(each.means, axis=0), axis=1).mean() for each in (ordered, scene)]
+    assert steps[0] < 0.6 * steps[1]
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        assert all(member.compress_type == zipfile.ZIP_STORED for member in archive.infolist())
+        assert {member.date_time[0] for member in archive.infolist()} == {1980}
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_gaussforge_reads_what_we_write(degree: int) -> None:
+    data = written(splats(60, degree=degree))
+    assert_same(columns_of(converted(data, "sog")), sog.decode(memoryview(data)), atol=1e-5)
+
+
+def test_one_splat_and_equal_ones_are_written() -> None:
+    one = splats(1, degree=1)
+    assert_near(sog.decode(memoryview(written(one))), one)
+    rows = {name: np.repeat(getattr(one, name), 9, axis=0) for name in ("means", "scales", "quats", "opacity", "sh")}
+    assert sog.decode(memoryview(written(replace(one, **rows)))).n == 9
+
+
+def test_convert_compares_row_by_row_although_the_order_changes(tmp_path: Path) -> None:
+    scene = splats(200, degree=2)
+    save(tmp_path / "a.ply", scene)
+    found = convert_splats(tmp_path / "a.ply", tmp_path / "b.sog")
+    loss = measure_splats(sog_writer.in_order(scene), found)
+    assert loss.means.largest < 1e-3
+    assert measure_splats(scene, found).means.largest > 0.1
+
+
+def test_a_palette_has_as_many_entries_as_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sog_writer, "_PALETTE", 256)
+    scene = splats(4000, degree=2)
+    files = sog_writer.files_of(scene)
+    assert b'"count": 192, "bands": 2' in files["meta.json"]  # 3 x 64: 1,024 splats for 64 entries
+    found, ordered = sog.splats_in({name: memoryview(data) for name, data in files.items()}), sog_writer.in_order(scene)
+    error = np.sqrt(((found.sh[:, 1:] - ordered.sh[:, 1:]) ** 2).mean())
+    assert error < 0.95 * ordered.sh[:, 1:].std()  # noise in 24 dimensions can hardly be told by 192 rows
