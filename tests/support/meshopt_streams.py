@@ -14,7 +14,7 @@ class Stream(NamedTuple):
     name: str
     mode: str
     filter: str
-    count: int
+    elements: int
     stride: int
     data: str
     expected: str

@@ -45,8 +45,9 @@ def in_order(scene: Splats) -> Splats:
         for axis in range(3):
             code |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
     order = np.argsort(code, kind="stable")
-    names = ("means", "scales", "quats", "opacity", "sh")
-    return replace(scene, **{name: np.ascontiguousarray(getattr(scene, name)[order]) for name in names})
+    arrays = (scene.means, scene.scales, scene.quats, scene.opacity, scene.sh)
+    means, scales, quats, opacity, sh = (array[order] for array in arrays)
+    return replace(scene, means=means, scales=scales, quats=quats, opacity=opacity, sh=sh)
 
 
 def archive_of(scene: Splats) -> bytes:

@@ -108,7 +108,8 @@ def _exponential(rows: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
     """Floats of 24 bits and an exponent of 8."""
     stored = rows.view("<i4").astype(np.int64)
     with np.errstate(over="ignore"):
-        return np.ldexp(((stored & 0xFFFFFF) ^ 0x800000) - 0x800000, stored >> 24).astype("<f4")
+        wide = np.ldexp(((stored & 0xFFFFFF) ^ 0x800000) - 0x800000, stored >> 24)
+        return np.asarray(wide, "<f4")
 
 
 def _rounded(values: Floats, most: int) -> Floats:

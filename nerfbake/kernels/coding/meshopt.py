@@ -13,6 +13,8 @@ Source: EXT_meshopt_compression, appendix A.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -41,7 +43,7 @@ def decode_attributes(data: Bytes, out: Bytes) -> bool:
             at += (groups + 3) // 4
             if at > end:
                 return False
-            value = np.int64(before[k])
+            value: Any = np.int64(before[k])  # int() of a byte is unsigned, and with a signed number a float
             for group in range(groups):
                 mode = np.int64(data[heads + group // 4]) >> 2 * (group % 4) & 3
                 bits = (0, 2, 4, 8)[mode]
@@ -49,7 +51,7 @@ def decode_attributes(data: Bytes, out: Bytes) -> bool:
                 if more > end:
                     return False
                 for i in range(_GROUP):
-                    delta = 0
+                    delta: Any = 0
                     if bits == 8:
                         delta = np.int64(data[at + i])
                     elif bits:
@@ -68,17 +70,17 @@ def decode_attributes(data: Bytes, out: Bytes) -> bool:
                         out[row, k] = value
                 at = more
             before[k] = value
-    return at == end or (stride < 32 and at <= end)
+    return bool(at == end)
 
 
 @compiled()
 def _number(data: Bytes, at: int, end: int) -> tuple[int, int]:
     """A number of up to 32 bits, 7 in a byte, low ones first, and where it ends; -1 if it does not."""
-    value = 0
+    value: Any = 0
     for k in range(5):
         if at >= end:
             return 0, -1
-        byte = np.int64(data[at])
+        byte: Any = np.int64(data[at])
         at += 1
         value |= (byte & 0x7F) << 7 * k
         if byte < 0x80:

@@ -17,7 +17,7 @@ each_stream = pytest.mark.parametrize("stream", STREAMS, ids=[stream.name for st
 
 
 def decoded(stream: Stream, data: bytes | None = None, **changes: Any) -> bytes:
-    told = {"count": stream.count, "stride": stream.stride, "mode": stream.mode, "filter_": stream.filter, **changes}
+    told = {"count": stream.elements, "stride": stream.stride, "mode": stream.mode, "filter_": stream.filter, **changes}
     view = memoryview(base64.b64decode(stream.data) if data is None else data)
     return bytes(decompress(view, place="bufferViews[0]", **told))
 
@@ -45,7 +45,7 @@ def test_damage_is_refused_or_decoded_to_as_many_bytes(stream: Stream) -> None:
         for at in random.integers(0, len(data), 3):
             broken[at] = int(random.integers(256))
         try:
-            assert len(decoded(stream, bytes(broken))) == stream.count * stream.stride
+            assert len(decoded(stream, bytes(broken))) == stream.elements * stream.stride
         except InvalidFile:
             refused += 1
     assert refused or stream.mode == "TRIANGLES"
@@ -60,7 +60,7 @@ def test_what_the_extension_does_not_allow_is_refused() -> None:
         (attributes, {"mode": "None"}),
         (attributes, {"filter_": "COLOR"}),
         (attributes, {"count": 0}),
-        (triangles, {"count": triangles.count + 1}),
+        (triangles, {"count": triangles.elements + 1}),
         (triangles, {"stride": 8}),
         (numbers, {"filter_": "EXPONENTIAL"}),
         (numbers, {"stride": 2}),  # its numbers are larger
