@@ -195,7 +195,7 @@ def ksplat(parts: list[Splats], level: int, *, ends: tuple[float, float] = (-1.5
         heads += struct.pack("<IIIIfHxxIIIIH", *fields).ljust(1024, b"\0")
         rest = np.concatenate(
             [part.sh[:, d * d : (d + 1) ** 2].swapaxes(1, 2).reshape(part.n, -1) for d in range(1, part.degree + 1)]
-            or [np.zeros((part.n, 0))],
+            or [np.zeros((part.n, 0), np.float32)],
             axis=1,
         )
         rest = np.rint((rest - ends[0]) / (ends[1] - ends[0]) * 255).clip(0, 255) if level == 2 else rest

@@ -110,7 +110,7 @@ def _extensions(document: Document, inner: set[str]) -> Iterator[Problem]:
 def _nodes(document: Document, holders: set[int]) -> Iterator[Problem]:
     """Yield nodes of splats whose matrix to the scene is not a rotation after scales above 0."""
     for node, mesh, matrix in placed_meshes(document):
-        if mesh in holders and (told := _wrong(matrix[:3, :3])):
+        if type(mesh) is int and mesh in holders and (told := _wrong(matrix[:3, :3])):
             yield Problem(f"nodes[{node}]", told, _NODE)
 
 
@@ -207,17 +207,18 @@ def _attribute(
     if extended and "bufferView" not in entry:
         return  # an extension has the numbers
     kind, component = str(entry.get("type"))[:20], entry.get("componentType")
+    told = component if type(component) is int else -1
     normalised = entry.get("normalized") is True
     rule = _RULES.get(own, _SH)
-    if name != "POSITION" and (kind != rule.kind or (component, normalised) not in rule.stored):
-        word = _TYPES.get(component, str(component)[:20]) if type(component) is int else str(component)[:20]
+    if name != "POSITION" and (kind != rule.kind or (told, normalised) not in rule.stored):
+        word = _TYPES.get(told, str(component)[:20])
         yield Problem(at, f"is {kind} of {'normalised ' * normalised}{word}", rule.allowed)
         return
     if (rows := entry.get("count")) != count and count is not None and type(rows) is int:
         yield Problem(at, f"has {plural(rows, 'row')}", f"{count:,}, as POSITION")
         return
     if start := _start(document, entry):
-        yield Problem(at, f"starts at byte {start:,}", f"a multiple of {_SIZES.get(component, 4)}")
+        yield Problem(at, f"starts at byte {start:,}", f"a multiple of {_size_of(entry)}")
         return
     try:
         with memory.scope():
@@ -235,7 +236,12 @@ def _start(document: Document, entry: dict[str, Any]) -> int:
     view = document.item("bufferViews", entry["bufferView"])
     parts = view.get("byteOffset", 0), entry.get("byteOffset", 0)
     start = sum(part for part in parts if type(part) is int)
-    return start if start % _SIZES.get(entry.get("componentType"), 1) else 0
+    return start if start % _size_of(entry) else 0
+
+
+def _size_of(entry: dict[str, Any]) -> int:
+    component = entry.get("componentType")
+    return _SIZES.get(component, 1) if type(component) is int else 1
 
 
 def _values(values: npt.NDArray[Any], own: str, place: str, unit: float) -> Iterator[Problem]:

@@ -41,7 +41,7 @@ class Splat:
     def __init__(self, part: Part, row: int) -> None:
         linear = part.matrix[:3, :3]
         single = {
-            key: np.float32(np.asarray(part.splats[key][row])).astype(np.float64) for key in ("rotations", "scales")
+            key: np.asarray(part.splats[key][row], np.float32).astype(np.float64) for key in ("rotations", "scales")
         }
         self.mean = linear @ np.asarray(part.splats["positions"][row], np.float64) + part.matrix[:3, 3]
         axes = linear @ rotation_of(single["rotations"]) * single["scales"]

@@ -6,6 +6,7 @@ import io
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -39,7 +40,7 @@ def test_the_files_are_what_the_generator_writes() -> None:
             assert (HOME / name).read_bytes() == data, name
         else:  # zlib decides their bytes
             pictures = [np.asarray(PIL.Image.open(io.BytesIO(each))) for each in (data, (HOME / name).read_bytes())]
-            assert np.array_equal(*pictures), name
+            assert np.array_equal(pictures[0], pictures[1]), name
     assert sum(path.stat().st_size for path in HOME.rglob("*") if path.is_file()) < 1_000_000
 
 
@@ -48,7 +49,7 @@ def test_the_numbers_are_found(scene: Scene) -> None:
     told = json.loads((HOME / f"valid/{scene.name}.json").read_text())
     found = found_in(HOME / f"valid/{scene.name}.glb")
     assert found.n == len(told["splats"])
-    close = {"rtol": 2e-6, "atol": 2e-6}
+    close: dict[str, Any] = {"rtol": 2e-6, "atol": 2e-6}
     np.testing.assert_allclose(found.means + found.origin, [each["mean"] for each in told["splats"]], **close)
     shapes = covariances(found)[:, *np.triu_indices(3)]
     np.testing.assert_allclose(shapes, [each["covariance"] for each in told["splats"]], **close)

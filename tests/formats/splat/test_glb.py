@@ -17,6 +17,7 @@ import trimesh
 from nerfbake import Meshes, Splats, load, save
 from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.splat import glb, spz
+from nerfbake.io import check
 from tests.formats.splat.test_ply import assert_same
 from tests.support.hostile import refused_as_it_is
 from tests.support.meshes import cube
@@ -360,6 +361,24 @@ def test_a_spz_inside_is_turned_to_the_axes_of_gltf(version: int, name: str) -> 
     assert (found.antialiased, found.notes) == (True, ())
     moved = decoded(changed(data, lambda document: document["nodes"][0].update(translation=[1, 2, 3])))
     np.testing.assert_allclose(moved.means, expected.means + np.array([-1, -2, 3]), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d["accessors"][2].update(componentType=[5126]),
+        lambda d: d["accessors"][2].update(type={}),
+        lambda d: d["nodes"][0].update(mesh=[0]),
+        lambda d: primitive(d).update(mode=[]),
+        lambda d: primitive(d)["extensions"][NAME].update(kernel=[], projection={}),
+        lambda d: d.update(extensionsUsed=[[], {}], extensionsRequired=[[]]),
+        lambda d: d["accessors"][0].update(min=[None, "a"], max={}),
+        lambda d: primitive(d)["attributes"].update({f"{NAME}:SH_DEGREE_99999999999_COEF_0": True}),
+    ],
+)
+def test_any_type_anywhere_is_a_finding_and_not_an_error(change: Callable[[Document], object], tmp_path: Path) -> None:
+    (tmp_path / "a.glb").write_bytes(changed(written(splats(3)), change))
+    assert check(tmp_path / "a.glb")
 
 
 # -- hostile files ---------------------------------------------------------------------------------------------

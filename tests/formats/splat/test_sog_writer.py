@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,7 +55,9 @@ def test_gaussforge_reads_what_we_write(degree: int) -> None:
 def test_one_splat_and_equal_ones_are_written() -> None:
     one = splats(1, degree=1)
     assert_near(sog.decode(memoryview(written(one))), one)
-    rows = {name: np.repeat(getattr(one, name), 9, axis=0) for name in ("means", "scales", "quats", "opacity", "sh")}
+    rows: dict[str, Any] = {
+        name: np.repeat(getattr(one, name), 9, axis=0) for name in ("means", "scales", "quats", "opacity", "sh")
+    }
     assert sog.decode(memoryview(written(replace(one, **rows)))).n == 9
 
 

@@ -118,8 +118,7 @@ SYSTEMS = {
 
 
 def colours_along(scene: Splats, ways: np.ndarray) -> np.ndarray:
-    colours: np.ndarray = np.einsum("db,nbc->ndc", sh_basis(ways, scene.B), scene.sh)
-    return colours
+    return np.asarray(np.einsum("db,nbc->ndc", sh_basis(ways, scene.B), scene.sh))
 
 
 def some_directions() -> np.ndarray:
