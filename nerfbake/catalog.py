@@ -31,6 +31,7 @@ class Format(NamedTuple):
     writable: bool = True  # False: files of other programs, which are only read; there is no encode()
     in_gzip: bool = False  # the format may be a gzip stream
     spread: tuple[str, ...] = ()  # extensions of the files that may be written beside it; see contract.SpreadFormat
+    library: str = ""  # a module that decode() needs and that may not be installed; see contract.StoredFormat
 
     def load_module(self) -> contract.FileFormat:
         return cast(contract.FileFormat, import_module(f"nerfbake.formats.{self.module}"))
@@ -51,6 +52,9 @@ class Format(NamedTuple):
 
     def load_spread_module(self) -> contract.SpreadFormat:
         return cast(contract.SpreadFormat, self.load_module())
+
+    def load_stored_module(self) -> contract.StoredFormat:
+        return cast(contract.StoredFormat, self.load_module())
 
     def load_page_module(self) -> contract.PageFormat:
         return cast(contract.PageFormat, self.load_module())
@@ -111,6 +115,7 @@ class Dialect(NamedTuple):
 AnyFormat = Format | FolderKind
 
 _OCTREE = "SparseVoxelOctree"
+_USD, _PICTURES = "pxr", (".png", ".jpg")
 
 # Longer extensions come before the extensions they contain. Formats with the same extension are tried in this order.
 FORMATS = (
@@ -149,6 +154,20 @@ FORMATS = (
     Format("glb", "Meshes", ".glb", "mesh.glb", "glTF 2.0 mesh"),
     Format("ply", "Meshes", ".ply", "mesh.ply", "PLY mesh with vertex colours"),
     Format("ply", "Splats", ".ply", "splat.ply", "Gaussian splats (3DGS)"),
+    Format("usda", "Splats", ".usda", "splat.usda", "Gaussian splats in USD, text", library=_USD),
+    Format("usdc", "Splats", ".usdc", "splat.usdc", "Gaussian splats in USD", library=_USD),
+    Format("usdz", "Splats", ".usdz", "splat.usdz", "Gaussian splats in USD, package", library=_USD),
+    Format("usd", "Splats", ".usd", "splat.usd", "Gaussian splats in USD", writable=False, library=_USD),
+    Format("usda", "Meshes", ".usda", "mesh.usda", "USD mesh, text", beside=True, spread=_PICTURES, library=_USD),
+    Format("usdc", "Meshes", ".usdc", "mesh.usdc", "USD mesh", beside=True, spread=_PICTURES, library=_USD),
+    Format("usdz", "Meshes", ".usdz", "mesh.usdz", "USD mesh, package", library=_USD),
+    Format("usd", "Meshes", ".usd", "mesh.usd", "USD mesh", beside=True, writable=False, library=_USD),
+    Format("usda", "Cameras", ".usda", "camera.usda", "cameras in USD, text", library=_USD),
+    Format("usdc", "Cameras", ".usdc", "camera.usdc", "cameras in USD", library=_USD),
+    Format("usdz", "Cameras", ".usdz", "camera.usdz", "cameras in USD, package", library=_USD),
+    Format("usd", "Cameras", ".usd", "camera.usd", "cameras in USD", writable=False, library=_USD),
+    Format("usda", "Volume", ".usda", "volume.usda", "USD stage of a .vdb, text", readable=False, spread=(".vdb",)),
+    Format("usdc", "Volume", ".usdc", "volume.usdc", "USD stage of a .vdb", readable=False, spread=(".vdb",)),
     Format("spz", "Splats", ".spz", "splat.spz", "Gaussian splats, compressed (Niantic)", in_gzip=True),
     Format("sog", "Splats", ".sog", "splat.sog", "Gaussian splats, compressed (PlayCanvas)"),
     Format("ksplat", "Splats", ".ksplat", "splat.ksplat", "Gaussian splats (GaussianSplats3D)", writable=False),
@@ -232,7 +251,7 @@ COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 
 # What other programs put around a file of any format: gzip, or a zip archive.
 WRAPPING = "nerfbake.formats.wire.wrapping"
-ARCHIVES = (".npz", ".sog", ".tar", ".pt", ".pth", ".ckpt", ".th")  # formats that are zip archives themselves
+ARCHIVES = (".npz", ".sog", ".tar", ".pt", ".pth", ".ckpt", ".th", ".usdz")  # formats that are zip archives themselves
 
 # Files that do not contain a scene by themselves; each is read by one command only.
 PHOTOGRAPHS = "nerfbake.formats.wire.picture"
@@ -326,6 +345,10 @@ def format_of_path(path: str, scene: str) -> Format:
     for form in known:
         if path.lower().endswith(form.suffix):
             return form
+    if path.lower().endswith(".usdz") and scene == "Volume":
+        raise UsageError(
+            "a .usdz cannot contain a .vdb; allowed: .usda or .usdc, which are written with a .vdb beside it"
+        )
     endings = ", ".join(form.suffix for form in known)
     raise UsageError(f"{path!r} has no file extension for {NOUNS[scene]}; allowed: {endings}, or `to=FORMAT`")
 
@@ -404,15 +427,17 @@ def dialects_in(files: contract.HeadedFiles) -> list[tuple[Dialect, str]]:
 
 
 def cameras_to_write(ending: str, to: str | None) -> AnyFormat | Dialect | None:
-    """Return what cameras are written as, by the extension of OUT or by `to`; None for what stores other scenes."""
+    """Return what cameras are written as, by the extension of OUT or by `to`; None for what stores other scenes.
+
+    A stage of USD stores cameras and other scenes.
+    """
     known: dict[str, AnyFormat | Dialect] = {form.written_as: form for form in DIALECTS if form.written_as}
     known |= {kind.name: kind for kind in folders_of("Cameras") if kind.writable}
     if to is not None and to in known:
         return known[to]
     plain = uncompressed(ending).lower()
-    files = [form for form in formats_of("Cameras") if plain.endswith(form.suffix)]
-    longer = [form for form in FORMATS if form.scene != "Cameras" and plain.endswith(form.suffix)]
-    return files[0] if files and not longer else None
+    suffix = format_suffix(plain)
+    return next((form for form in formats_of("Cameras") if form.suffix == suffix), None)
 
 
 def is_tool(dialect: str) -> bool:
@@ -436,16 +461,17 @@ def require_content(head: bytes) -> None:
         raise InvalidFile("is a Git-LFS pointer, not the file itself; allowed: the file, which `git lfs pull` fetches")
 
 
-def format_of_content(path: str, view: memoryview) -> Format:
+def format_of_content(path: str, view: memoryview, *wanted: str) -> Format:
     """Return the format of a file or stream to read: by its extension, then by its content.
 
+    Of several that recognise it, the first with a wanted scene type is returned: a stage may have splats and cameras.
     The content decides if several formats remain. A stream has no extension, and some extensions contain others: an
     octree's .svo.npz may have been renamed to .npz.
     """
     known = [form for form in FORMATS if form.readable]
     by_ending = [form for form in known if path.lower().endswith(form.suffix)]
     likely = [form for form in known if not by_ending or form.suffix.endswith(by_ending[0].suffix)]
-    for form in likely if len(likely) > 1 else []:
+    for form in sorted(likely, key=lambda form: form.scene not in wanted) if len(likely) > 1 else []:
         if form.load_module().recognise(view):
             return form
     if by_ending:

@@ -146,6 +146,7 @@ class SplatFormat(FileFormat, Protocol):
     """A format for Gaussian splats that is written."""
 
     MOST_DEGREE: int  # of the spherical harmonics that it can store
+    KEEPS_UP: bool  # True: the file says which axis is up, and splats with z up are stored unturned
     KEEPS_ORIGIN: bool  # False: positions of splats far from 0 are written relative to their origin
     # Optional: in_order(scene) returns the splats in the order in which encode() writes them.
     # Optional: readers_note(**options) returns which programs cannot read what encode() writes, or ''.
@@ -166,6 +167,13 @@ class SpreadFormat(FileFormat, Protocol):
 
         stem: the name of the file without its extension, which all of them share and by which they refer to each other.
         """
+
+
+class StoredFormat(FileFormat, Protocol):
+    """A format whose decode() needs a library that may not be installed, while encode() needs none."""
+
+    def stored(self, scene: Any, /, **options: Any) -> Any:
+        """Return the scene that decode() returns for the file of encode() with these options, without the library."""
 
 
 class PackedFormat(FileFormat, Protocol):

@@ -26,14 +26,20 @@ EXTRAS = {
     "warp": "warp",
     "pycolmap": "poses",
     "pillow_heif": "heic",
+    "pxr": "usd",
     "sklearn": "bench",
     "bson": "bench",
 }
 
 
+def is_installed(module: str) -> bool:
+    """Return whether a module can be imported, without importing it."""
+    return find_spec(module) is not None
+
+
 def require_installed(module: str, what: str) -> None:
     """Raise UsageError if a module that `what` needs is not installed."""
-    if find_spec(module) is None:
+    if not is_installed(module):
         raise UsageError(Problem(what, f"needs {module}, which is not installed", command_for(module)))
 
 

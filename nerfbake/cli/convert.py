@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from nerfbake.catalog import cameras_to_write
+from nerfbake.catalog import cameras_to_write, is_ending
 from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     ALL,
@@ -33,7 +33,7 @@ from nerfbake.jobs.files import Source, Target
 )
 @grid_options(splats=True)
 @codec_option
-@click.option("--half", is_flag=True, help="Store the values of a volume as float16.")
+@click.option("--half", is_flag=True, help="Store a volume, or all but the centres of splats (USD), in float16.")
 @splat_file_options
 @function_options()
 @budget_options
@@ -44,15 +44,17 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
     Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz, without loss.
     A field that another program trained becomes a PlenOctree (.npz) or an octree; the loss against its own pictures is
     printed.
-    Gaussian splats become .ply, .spz or .glb, and the largest and median loss are printed. With --in-up, they are
-    rotated so that this axis of their world, in which `info` describes them, points up in the new file.
+    Gaussian splats become .ply, .spz, .glb or USD (.usda, .usdc, .usdz), and the largest and median loss are printed.
+    With --in-up, they are rotated so that this axis of their world, in which `info` describes them, points up in the
+    new file.
 
     A volume, or another scene as in `nerfbake svo`, becomes an octree, too. That of a volume is complete if `nerfbake
     vdb` wrote the volume with the grids `index` or `density,sh`. From any other fog volume the octree gets the density
     only. With --grid all, each grid of a volume becomes a file: smoke.density.nvdb, ...
 
-    Cameras of any tool that `info` describes become nerfstudio's transforms.json, with --to colmap a folder with the
-    text of a COLMAP model, and with --to 3dgs cameras.json of 3D Gaussian Splatting.
+    Cameras of any tool that `info` describes become nerfstudio's transforms.json, a stage of USD (--in-up: the axis of
+    their world that points up), with --to colmap a folder with the text of a COLMAP model, and with --to 3dgs
+    cameras.json of 3D Gaussian Splatting.
 
     \b
       nerfbake convert chair.svo.pb chair.svo.npz
@@ -64,12 +66,13 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
       nerfbake convert step-000029999.ckpt fox.npz --basis SH16
       nerfbake convert scene.ply scene.spz
       nerfbake convert scene.ply scene.glb --in-up z
+      nerfbake convert scene.ply scene.usdz --half
       nerfbake convert upside_down.spz scene.spz --in-axes RDF --spz-version 3
       nerfbake convert cameras.xml transforms.json
       nerfbake convert cameras.xml sparse/0 --to colmap
     """
 
-    if cameras_to_write(target.ending, target.to) is not None:
+    if cameras_to_write(target.ending, target.to) is not None and not is_ending(target.ending, "Splats"):
         _refuse_options()
         from nerfbake.jobs.cameras import convert_cameras
 

@@ -103,11 +103,11 @@ class JudgedOutput(Writes):
 
 
 class MeshOutput(JudgedOutput):
-    """A mesh or another scene, with the files that may stand beside a mesh."""
+    """A mesh, a volume or another scene, with the files that may stand beside it."""
 
     def declare(self, paths: tuple[str, ...], options: Mapping[str, Any]) -> DeclaredPaths:
         found = super().declare(paths, options)
-        for form in catalog.formats_of("Meshes"):
+        for form in (*catalog.formats_of("Meshes"), *catalog.formats_of("Volume")):
             beside = (
                 path[: -len(form.suffix)] + ending for path in paths for ending in form.spread if _ends(path, form)
             )

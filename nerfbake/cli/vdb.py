@@ -18,6 +18,7 @@ from nerfbake.cli.params import (
     source_argument,
     target_argument,
 )
+from nerfbake.cli.paths import MeshOutput
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
@@ -29,7 +30,7 @@ GRIDS = (
 
 @click.command()
 @source_argument
-@target_argument("Volume")
+@target_argument("Volume", output=MeshOutput)
 @click.option("--grids", help=f"{GRIDS}  [default: density,Cd; density for .nvdb]")
 @click.option("--half", is_flag=True, help="Store values as float16.")
 @codec_option
@@ -64,12 +65,14 @@ GRIDS = (
 def vdb(source: Source, target: Target, console: Console, **options: Any) -> None:
     """Convert a field or splats to a VDB volume.
 
-    Writes OUT as OpenVDB (.vdb), NanoVDB (.nvdb, one grid per file) or plain arrays (.vdb.npz).
+    Writes OUT as OpenVDB (.vdb), NanoVDB (.nvdb, one grid per file) or plain arrays (.vdb.npz), or as a stage of USD
+    (.usda, .usdc) with a .vdb of the same name beside it.
 
     \b
       nerfbake vdb chair.npz chair.vdb
       nerfbake vdb chair.svo.pb chair.nvdb --grids index --half
       nerfbake vdb scene.spz scene.vdb --resolution 512
+      nerfbake vdb chair.npz chair.usda
       nerfbake vdb chair.npz - --to nvdb | nerfbake info -
     """
 

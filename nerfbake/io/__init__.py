@@ -50,6 +50,7 @@ from nerfbake.io.targets import require_room as require_room
 from nerfbake.io.writing import PendingFile as PendingFile
 from nerfbake.io.writing import format_for as format_for
 from nerfbake.io.writing import keep_partial as keep_partial
+from nerfbake.io.writing import paths_beside as paths_beside
 from nerfbake.io.writing import save as save
 from nerfbake.io.writing import save_files as save_files
 from nerfbake.io.writing import save_folder as save_folder

@@ -162,7 +162,7 @@ def _decode_file(
         path = uncompressed(path)
     require_some(view)
     view, path, archive = unwrapped(view, path)
-    form = format_of_content(path, view)
+    form = format_of_content(path, view, *(kind.__name__ for kind in kinds))
     if packed and form.packed:
         raise InvalidFile(f"is a {form.suffix} in zstd frames, but it is compressed already; allowed: {form.suffix}")
     extra: dict[str, object] = {}

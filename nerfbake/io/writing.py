@@ -88,7 +88,7 @@ def saving(
     form = format_for(target, type(scene).__name__, to=to)
     form.require_options(options)
     if form.spread and str(target) != STREAM and not form.suffix.endswith(COMPRESSED):
-        stem = Path(target).name[: -len(form.suffix)] if to is None else Path(target).stem
+        stem = _stem_of(target, form, to)
         files = list(form.load_spread_module().encode_files(scene, stem, **options))
         if len(files) > 1:
             with _saving_files(Path(target), stem, files, force=force, parents=parents) as saved:
@@ -107,6 +107,19 @@ def saving(
             with open(path, "wb") as file:
                 size = _write_all(file, pieces)
             yield PendingFile(str(path), {"": size})
+
+
+def paths_beside(target: str | Path, form: Format, *, to: str | None = None) -> list[str]:
+    """Return the paths of the files that may be written beside a file of this format."""
+    if str(target) == STREAM or form.suffix.endswith(COMPRESSED):
+        return []
+    stem = _stem_of(target, form, to)
+    return [str(Path(target).with_name(stem + ending)) for ending in form.spread]
+
+
+def _stem_of(target: str | Path, form: Format, to: str | None) -> str:
+    """The name of a file without its extension, which files beside it share."""
+    return Path(target).name[: -len(form.suffix)] if to is None else Path(target).stem
 
 
 @contextmanager

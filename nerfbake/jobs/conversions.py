@@ -1,4 +1,4 @@
-"""Convert octrees, volumes and splats to other formats and layouts, and octrees and volumes to each other."""
+"""Convert octrees, volumes, splats and cameras to other formats and layouts, and octrees and volumes to each other."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
 from nerfbake import catalog, io, memory
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget, judge_output
+from nerfbake.jobs.cameras import write_cameras
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.grids import GridChoice, warn_about_halves
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.views import tell_file_of
 from nerfbake.kernels.soundness import plural
+from nerfbake.scene.camera import Cameras
 from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -45,18 +48,19 @@ def convert_file(
     functions: FunctionVoxels = FunctionVoxels(),
     budget: Budget = Budget(),
     steps: Steps = SILENT,
-) -> SparseVoxelOctree | Volume | Splats | N3Tree:
-    """Write an octree, a volume or splats in another format and return what was written. This is `nerfbake convert`.
+) -> SparseVoxelOctree | Volume | Splats | N3Tree | Cameras:
+    """Write an octree, a volume, splats or cameras in another format and return them. This is `nerfbake convert`.
 
     Reads `source` and writes `target`, whose format selects what is written. For an octree's format, PlenOctrees,
     lattices and splats become octrees as in bake_octree(). A trained field becomes an octree or, with all of its
-    scenery, a PlenOctree. For a format of splats, convert_splats() is called.
+    scenery, a PlenOctree. For a format of splats, convert_splats() is called. A stage of USD takes cameras, too:
+    convert_cameras() writes them.
 
     layout    of an octree: child slots for every node (full), or none on the last level (compact)
     no_child  child index that means 'no child' in an octree's file: 0 or -1
     choice    the grids of a volume, and its up axis; of splats their up axis
     codec     of a volume's format: none or zip
-    half      store a volume's values as float16
+    half      store the values of a volume, or of splats, as float16
     splats    how splats are read and written
     functions  how a trained field becomes voxels
     budget    of a trained field: the lowest allowed quality of `target`, which else becomes `target`.rejected
@@ -70,9 +74,11 @@ def convert_file(
 
     source, target = as_source(source), as_target(target)
     if _is_ending(target, "Splats"):
-        if layout or no_child or codec or half or choice.grids:
+        if layout or no_child or codec or choice.grids:
             raise UsageError("splats have no child slots, grids and codecs; allowed: `in_up` and the options of splats")
-        return convert_splats(source, target, in_up=choice.in_up, choice=splats, steps=steps)
+        convert = _convert_stage if catalog.is_ending(target.ending, "Cameras") else convert_splats
+        written = replace(splats, half=half or splats.half)
+        return convert(source, target, in_up=choice.in_up, choice=written, steps=steps)
     if splats != SplatChoice():
         given = [name for name, value in vars(splats).items() if value]
         allowed = "`nerfbake compress` for octrees" if given == ["small"] else "OUT of splats"
@@ -149,20 +155,50 @@ def convert_splats(
     >>> print(convert_splats("splats.ply", "splats.spz"))
     3 splats of SH degree 0
     """
+    source, target = as_source(source), as_target(target)
+    form = _require_splats(target, in_up, choice)
+    return _write_splats(steps, source, source.read(steps, Splats), target, form, in_up=in_up, choice=choice)
+
+
+def _convert_stage(
+    source: Source, target: Target, *, in_up: str | None, choice: SplatChoice, steps: Steps
+) -> Splats | Cameras:
+    """Write the splats or the cameras of `source` in a format that has both."""
+    form = _require_splats(target, in_up, choice)
+    found = source.read(steps, Splats, Cameras)
+    if isinstance(found, Splats):
+        return _write_splats(steps, source, found, target, form, in_up=in_up, choice=choice)
+    if given := [name for name, value in vars(choice).items() if value]:
+        raise UsageError(f"`{given[0]}` is for splats, but {source.name} holds cameras; allowed: `in_up`")
+    tell_file_of(steps, source.name, found)
+    return write_cameras(steps, found, source, target, in_up=in_up)
+
+
+def _require_splats(target: Target, in_up: str | None, choice: SplatChoice) -> catalog.Format:
+    """Return the format to write. Call it before doing any work. Raises NerfbakeError."""
+    if in_up not in (None, *UPS):
+        raise UsageError(f"`in_up` is {in_up!r}; allowed: {', '.join(UPS)}")
+    return target.require("Splats", **choice.of_format)
+
+
+def _write_splats(
+    steps: Steps,
+    source: Source,
+    read: Splats,
+    target: Target,
+    form: catalog.Format,
+    *,
+    in_up: str | None,
+    choice: SplatChoice,
+) -> Splats:
     from nerfbake.stages.splats_to_loss import measure_splats
 
-    source, target = as_source(source), as_target(target)
-    ways: dict[str, Up] = {way: way for way in UPS}
-    if in_up is not None and in_up not in ways:
-        raise UsageError(f"`in_up` is {in_up!r}; allowed: {', '.join(UPS)}")
-    options = choice.of_format
-    form = target.require("Splats", **options)
-    module = form.load_splat_module()
-    splats: Splats = choice.read(steps, source, source.read(steps, Splats))
+    options, module = choice.of_format, form.load_splat_module()
+    splats = choice.read(steps, source, read)
     with source.blamed(steps, "checking the splats"):
         splats.require_usable()
     if in_up is not None:
-        splats = splats.with_up(ways[in_up])
+        splats = splats.with_up(cast(Up, in_up))
     elif splats.up not in (None, "-y"):
         steps.say(f"{source.name}: {splats.up} points up, as the file says; only `in_up={splats.up}` turns the splats")
     if splats.origin.any() and not module.KEEPS_ORIGIN:
@@ -177,7 +213,10 @@ def convert_splats(
         io.blame(target.name),
         memory.scope(),
     ):
-        found: Splats = module.decode(memoryview(b"".join(module.encode(kept, **options))))
+        if form.library:
+            found: Splats = form.load_stored_module().stored(kept, **options)
+        else:
+            found = module.decode(memoryview(b"".join(module.encode(kept, **options))))
         loss = measure_splats(splats, found)
     left_out = "".join(f"; not read: {part}" for part in _not_read(splats))
     steps.say(f"{target.name}: {_loss_text(loss)}{left_out}")

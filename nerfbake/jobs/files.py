@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nerfbake import catalog, io, memory
 from nerfbake.errors import NerfbakeError, UsageError
+from nerfbake.installation import is_installed
 from nerfbake.jobs.steps import Steps, Tell
 
 if TYPE_CHECKING:
@@ -135,7 +136,8 @@ class Target(NamedTuple):
         """
         form = io.format_for(self.path, scene, to=self.to)
         form.require_options(self._given(options))
-        io.require_absent(self.path, force=self.force)
+        for path in (self.path, *io.paths_beside(self.path, form, to=self.to)):
+            io.require_absent(path, force=self.force)
         return form
 
     def require_measurable(self, reason: str) -> None:
@@ -170,16 +172,17 @@ class Target(NamedTuple):
         return {name: value for name, value in {**own, **options}.items() if value is not None}
 
 
-def axis_option(form: catalog.Format, in_up: str | None) -> dict[str, Any]:
-    """Return the option `up` of a format of meshes for the up axis of what is read; none if that is None.
+def axis_option(form: catalog.AnyFormat | catalog.Dialect, in_up: str | None) -> dict[str, Any]:
+    """Return the option `up` of a format for the up axis of what is read; none if that is None.
 
     Raises UsageError if the format has no such option.
     """
     if in_up is None:
         return {}
-    if not form.choices("up"):
-        allowed = ", ".join(each.suffix for each in catalog.formats_of("Meshes") if each.choices("up"))
-        raise UsageError(f"`in_up` has no effect on {form.suffix}; allowed: with {allowed}")
+    if not isinstance(form, catalog.Format) or not form.choices("up"):
+        named = form.suffix if isinstance(form, catalog.Format) else form.name
+        allowed = ", ".join(each.suffix for each in catalog.formats_of(form.scene) if each.choices("up"))
+        raise UsageError(f"`in_up` has no effect on {named}; allowed: with {allowed}")
     return {"up": in_up}
 
 
@@ -222,6 +225,19 @@ def read_back_as(name: str) -> Iterator[None]:
     except NerfbakeError as error:
         error.source = name
         raise
+
+
+def read_back(target: Target, path: str, scene: Any, **options: Any) -> Any:
+    """Return the scene in an output at a temporary path, to measure it. Raises NerfbakeError naming the target.
+
+    scene, options: what was written, and how. If the library that reads the format is not installed, the result is
+    what it would read.
+    """
+    form = io.format_for(target.path, type(scene).__name__, to=target.to)
+    if form.library and not is_installed(form.library):
+        return form.load_stored_module().stored(scene, **options)
+    with read_back_as(target.path):
+        return io.load(path, type(scene))
 
 
 @contextmanager

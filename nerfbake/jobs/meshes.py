@@ -19,6 +19,7 @@ from nerfbake.jobs.files import (
     as_source,
     as_target,
     axis_option,
+    read_back,
     read_back_as,
 )
 from nerfbake.jobs.fit_state import Clock
@@ -278,7 +279,7 @@ def bake_mesh(
         judged_on = (
             str(split.held_out) if pictures.views else f"{len(split.held_out.pictures)} pictures of {source.name}"
         )
-        loaded, quality = _judged(steps, place, written.path, split.held_out, judged_on)
+        loaded, quality = _judged(steps, place, written.path, split.held_out, judged_on, scene, format_options)
         if light is not None:
             written_mesh = replace(_levels(loaded)[0], material=_levels(scene)[0].material)
             quality = replace(quality, lit=_lit(steps, source, written_mesh, split.held_out, light))
@@ -322,7 +323,9 @@ def _flat(
     worked = clock.worked
     reported = reporting(lambda: report(found) if report is not None else None)
     with reported, place.writing(steps, scene, **format_options) as written:
-        loaded, quality = _judged(steps, place, written.path, held_out, f"{FRAMES} pictures of {source.name}")
+        loaded, quality = _judged(
+            steps, place, written.path, held_out, f"{FRAMES} pictures of {source.name}", scene, format_options
+        )
         counts = tuple(len(mesh.faces) for mesh in scene.meshes)
         found = MeshResult(place.path, str(loaded), written.size, counts, quality, worked)
         _tell_quality(steps, found, min_psnr)
@@ -377,9 +380,6 @@ def require_mesh(
         raise UsageError(
             f"{form.suffix} stores one level of detail; allowed: one number of triangles, or another format"
         )
-    stem = place.path[: -len(form.suffix)] if place.to is None else place.path
-    for ending in form.spread:
-        io.require_absent(stem + ending, force=place.force)
     return format_options
 
 
@@ -476,14 +476,26 @@ def measure_mesh(scene: Meshes | Stage1, held_out: Views, *, judged_on: str) -> 
 
 
 def _judged(
-    steps: Steps, place: Target | FolderTarget, path: str, held_out: Views, judged_on: str
+    steps: Steps,
+    place: Target | FolderTarget,
+    path: str,
+    held_out: Views,
+    judged_on: str,
+    scene: Meshes | Stage1,
+    format_options: dict[str, Any],
 ) -> tuple[Meshes | Stage1, MeshQuality]:
-    """Read the written file or folder, and measure it on the held-out views. judged_on: these views in words."""
+    """Read the written file or folder, and measure it on the held-out views.
+
+    judged_on: these views in words. scene, format_options: what was written, and how.
+    """
     judged_on += replace(held_out.cameras, samples=SAMPLES).rays_text
     with steps.phase(f"measuring on {len(held_out.pictures)} pictures"), io.blame(place.path):
-        with read_back_as(place.path):
-            folder = isinstance(place, FolderTarget)
-            found: Meshes | Stage1 = io.load_folder(path, Stage1) if folder else io.load(path, Meshes)
+        found: Meshes | Stage1
+        if isinstance(place, FolderTarget):
+            with read_back_as(place.path):
+                found = io.load_folder(path, Stage1)
+        else:
+            found = read_back(place, path, scene, **format_options)
         return found, measure_mesh(found, held_out, judged_on=judged_on)
 
 

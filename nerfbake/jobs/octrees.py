@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
-from nerfbake import memory
+from nerfbake import io, memory
 from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.files import AnySource, AnyTarget, as_source, as_target
 from nerfbake.jobs.function_voxels import FunctionVoxels
@@ -153,8 +153,10 @@ def bake_volume(
         volume = build_vdb(octree, grids=wanted, half=half, up=up, sigma_min=sigma_min)
         volume = _with_full_layout(volume) if tree else volume
     warn_about_halves(steps, form, volume)
-    with target.writing(steps, volume, codec=codec) as written:
-        judge_output(written.path, reading.shown, budget, made_from=source.name, name=target.path, up=up, steps=steps)
+    axis = up if form.choices("up") else None
+    with target.writing(steps, volume, codec=codec, up=axis) as written:
+        made = written.path if form.readable else io.paths_beside(written.path, form, to=target.to)[0]
+        judge_output(made, reading.shown, budget, made_from=source.name, name=target.path, up=up, steps=steps)
     return volume
 
 

@@ -1,4 +1,4 @@
-"""How files of splats are read and written: their axes, and their version."""
+"""How files of splats are read and written: their axes, their version, and their precision."""
 
 from __future__ import annotations
 
@@ -20,18 +20,25 @@ class SplatChoice:
     in_axes      the axes in which the file to read is, instead of those that it names or its format has
     axes         of a .spz: the axes in which it is written, which it names; None: RUB
     spz_version  of a .spz: 3 or 4; None: 4
+    half         of USD: store all but the centres in half floats
     small        store splats as small as the format allows
     """
 
     in_axes: Axes | None = None
     axes: Axes | None = None
     spz_version: Literal[3, 4] | None = None
+    half: bool = False
     small: bool = False
 
     @property
     def of_format(self) -> dict[str, Any]:
         """The options of the format to write."""
-        given = {"small": self.small or None, "axes": self.axes, "spz_version": self.spz_version}
+        given = {
+            "half": self.half or None,
+            "small": self.small or None,
+            "axes": self.axes,
+            "spz_version": self.spz_version,
+        }
         return {name: value for name, value in given.items() if value is not None}
 
     def read(self, steps: Steps, source: Source, splats: Splats) -> Splats:

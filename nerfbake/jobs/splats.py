@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from nerfbake import io, progress
+from nerfbake import catalog, io, progress
 from nerfbake.jobs.budgets import Budget, reporting
-from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
+from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back
 from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.photographs import (
@@ -117,7 +117,7 @@ def bake_splats(
     """
     source, target = as_source(source), as_target(target)
     pictures.photographs.require()
-    _require(target, min_psnr)
+    form = _require(target, min_psnr)
     reading = Reading(steps, source, functions=functions)
     reading.require()
     reading.use_inner_cube()
@@ -126,6 +126,7 @@ def bake_splats(
     del reading
     clock = Clock()
     split = pictures.split(steps, source, field, own)
+    upright = own is None and form.load_splat_module().KEEPS_UP  # z is up in all scenes but splats
     del own
     steps.say(f"{source.name}: fits splats to {split.training}, measures on {split.held_out}")
     with interrupts() as interrupted:
@@ -135,16 +136,15 @@ def bake_splats(
             )
         del field
         splats = fitted_splats(steps, source, splats, split.training, options, interrupted)
+        splats = replace(splats, up="z") if upright else splats
         if interrupted.is_set():
             write_partial(steps, target, "Splats", splats)
     worked, passed = clock.worked, clock.passed
     reported = reporting(lambda: report(found) if report is not None else None)
     with reported, target.writing(steps, splats) as written:
-        count = splats.n
-        del splats
         with kept_as_partial(steps, target, written):
-            views, content = _measured(steps, target, written, split.held_out)
-        found = SplatsResult(target.path, content, written.size, count, views, worked, passed)
+            views, content = _measured(steps, target, written, split.held_out, splats)
+        found = SplatsResult(target.path, content, written.size, splats.n, views, worked, passed)
         io.report_result(psnr=found.psnr)
         Budget(min_psnr=min_psnr).judge(found.psnr, "the splats have", str(split.held_out))
         seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {split.held_out}"
@@ -168,17 +168,17 @@ def fitted_splats(
         return state.splats()
 
 
-def _require(target: Target, min_psnr: float | None) -> None:
+def _require(target: Target, min_psnr: float | None) -> catalog.Format:
     target.require_read_back("splats")
-    target.require("Splats")
+    form = target.require("Splats")
     Budget(min_psnr=min_psnr).require(target)
+    return form
 
 
 def _measured(
-    steps: Steps, target: Target, written: io.PendingFile, held_out: Views
+    steps: Steps, target: Target, written: io.PendingFile, held_out: Views, splats: Splats
 ) -> tuple[tuple[ViewError, ...], str]:
     """Read the file that was written, and measure it on the held-out views."""
     with Source(target.path).blamed(steps, f"measuring on {len(held_out.pictures)} pictures"):
-        with read_back_as(target.path):
-            loaded = io.load(written.path, Splats)
+        loaded = read_back(target, written.path, splats)
         return measure_views(loaded, held_out), str(loaded)

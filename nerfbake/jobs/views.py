@@ -32,11 +32,16 @@ def read_cameras(steps: Steps, path: str) -> Cameras:
     """Read the cameras of a file or folder. Print which file of a folder was read, and what was assumed."""
     with steps.phase(f"reading {path}"):
         read = io.load(path, Cameras)
-    if read.source:
-        steps.say(f"{path}: {read} from {read.source}")
+    tell_file_of(steps, path, read)
     for note in (*read.notes, *read.pose_notes):
         steps.say(f"{path}: {note}")
     return read
+
+
+def tell_file_of(steps: Steps, path: str, cameras: Cameras) -> None:
+    """Print which file of a folder cameras were read from. path: that of the folder."""
+    if cameras.source:
+        steps.say(f"{path}: {cameras} from {cameras.source}")
 
 
 def renderable_scene(steps: Steps, scene: Any, name: str) -> Any:

@@ -155,14 +155,16 @@ class Meshes(Scene):
         if self.coarser and len(self.meshes) > 1:
             raise InvalidScene(Problem("levels of detail", f"belong to {len(self.meshes):,} meshes", "a single mesh"))
 
-    def with_up(self, up: Literal["y", "z"]) -> Meshes:
+    def with_up(self, up: Literal["y", "z", "-z"]) -> Meshes:
         """The same meshes, rotated so that the y axis, which is up in glTF, becomes the axis `up`.
 
-        z maps (x, y, z) to (x, -z, y).
+        z maps (x, y, z) to (x, -z, y). -z undoes that: it maps (x, y, z) to (x, z, -y), so that z becomes y.
         """
         if up == "y":
             return self
         turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], np.float64)
+        if up == "-z":
+            turn = turn.T.copy()
         turned = (replace(m, positions=rotate(m.positions, turn).astype(np.float32)) for m in self.meshes)
         return Meshes(tuple(turned), notes=self.notes, origin=rotate(self.origin, turn) + 0.0)
 

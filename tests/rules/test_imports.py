@@ -44,7 +44,8 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "cli": (ANY | {"__version__"}, {"click"}),
 }
 # Parts of a layer with other rules: `formats/wire` may not import scenes.
-PARTS = {"formats/wire": ({"errors", "installation", "memory", "progress", "kernels", "formats.wire"}, {"numpy"})}
+_WIRE = ({"errors", "installation", "memory", "progress", "kernels", "formats.wire"}, {"numpy"})
+PARTS = {"formats/wire": _WIRE, "formats/wire/usd": _WIRE}
 # What a single module may import from a layer above its own: a scene is displayed with stages and formats.
 UPWARD = {"scene/compact_repr": {"display"}}
 # What a single module may import by import_module(): * is any module.
@@ -73,6 +74,9 @@ OWN_LIBRARY = {
     "formats/wire/heif": {"pillow_heif", "pi_heif"},
     "formats/wire/picture": {"PIL"},
     "formats/wire/png": {"deflate"},
+    "formats/wire/usd/_child": {"pxr"},  # in a process of its own
+    "formats/wire/usd/package": {"deflate"},
+    "formats/wire/usd/text": {"orjson"},
     "formats/wire/yaml": {"yaml"},
     "formats/wire/zip_reader": {"deflate"},
     "formats/wire/zstd": {"zstandard"},
@@ -95,6 +99,7 @@ HEAVY = {
     "orjson",
     "zstandard",
     "matplotlib",
+    "pxr",
     "pycolmap",
     "sklearn",
     "trimesh",
@@ -150,8 +155,8 @@ def test_imports_form_no_circle() -> None:
 
 def test_only_io_opens_files() -> None:
     openers = {"open", "read_bytes", "read_text", "write_bytes", "write_text", "memmap", "fromfile", "tofile"}
-    # These open a device, bytes in memory, metadata of a package, the database of pycolmap, or the cache of kernels.
-    no_files = {"main", "picture", "installation", "_pycolmap", "kernel_cache"}
+    # These open a device, bytes in memory, metadata of a package, files in their own process, or the cache of kernels.
+    no_files = {"main", "picture", "installation", "_pycolmap", "_child", "kernel_cache"}
     for path in modules():
         if "io" in path.parts or "bench" in path.parts:  # benchmarks of files open them
             continue

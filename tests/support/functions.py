@@ -1,4 +1,4 @@
-"""A trained field that can be checked by hand: its density is linear in |x| + |y| + |z|, its logits in the direction."""
+"""Fields that are functions, small enough to check by hand, and other scenes of the same densities and colours."""
 
 from __future__ import annotations
 

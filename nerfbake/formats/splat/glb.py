@@ -46,6 +46,7 @@ from nerfbake.scene.splats import BASES, MOVING, Axes, SplatRows, Splats, join_s
 
 MOST_DEGREE = 3
 KEEPS_ORIGIN = True
+KEEPS_UP = False
 _HEAD = 20  # bytes before the JSON chunk
 # The second one is the name in drafts.
 _PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
@@ -105,7 +106,7 @@ def decode(view: memoryview) -> Splats:
         raise malformed("the .glb", "has no splats", f"a primitive with {EXTENSION} in the scene")
     memory.hold("the splats", 2 * sum(memory.size_of(part) for part, _ in parts))
     axes, known = _axes(document.root.get("asset"))
-    whole = replace(from_axes(_placed(parts), axes), axes_known=known, left_out=("meshes",) * bool(notes))
+    whole = replace(from_axes(placed_splats(parts), axes), axes_known=known, left_out=("meshes",) * bool(notes))
     return replace(whole, notes=(*whole.notes, *notes))
 
 
@@ -121,8 +122,11 @@ def _axes(asset: Any) -> tuple[Axes, bool]:
     return _GLTF if isinstance(extras, dict) and extras.get(_FRONT) == _PLUS_Z else _OF_BEFORE, True
 
 
-def _placed(parts: list[tuple[Splats, Floats]]) -> Splats:
-    """Return the splats of all nodes in the scene's coordinates, relative to its origin if it is far from 0."""
+def placed_splats(parts: list[tuple[Splats, Floats]]) -> Splats:
+    """Return the splats of all nodes in the scene's coordinates, relative to its origin if it is far from 0.
+
+    parts: splats in the coordinates of their node, and its matrix.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         origin = choose_origin([_points(part, matrix) for part, matrix in parts])
         moved = []

@@ -37,6 +37,7 @@ from nerfbake.scene.splats import BASES, Splats, splats_of_rows
 SH0 = 0.28209479177387814  # the first basis function
 MOST_DEGREE = 3
 KEEPS_ORIGIN = True
+KEEPS_UP = False
 _END = b"end_header\n"
 _REST = tuple(3 * (B - 1) for B in BASES)  # numbers of f_rest at degree 0 to 4
 _CHUNK = 256  # splats

@@ -72,6 +72,7 @@ _STEPS = (0, 8, 16, 16, 16)  # by degree, between the codes of SH in a small fil
 _MOST_OF_3 = 3  # degree that readers of version 3 know
 MOST_DEGREE = 4
 KEEPS_ORIGIN = False
+KEEPS_UP = False
 _ALLOWED = "a whole .spz"
 
 

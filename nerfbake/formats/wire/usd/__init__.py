@@ -1,0 +1,1 @@
+"""USD stages as bytes: a model of what is written, the three containers, and the reader."""
