@@ -94,6 +94,8 @@ def files_of(name: str) -> tuple[bytes, ...]:
         return tuple(_checkpoints())
     if name == LINES:
         return (_JOBS.encode(), _JOBS.replace("\n", "\r\n").encode())
+    if name == "usd":  # a crate or text
+        return files_of("usda") + files_of("usdc")
     scenes = dict.fromkeys(form.scene for form in catalog.FORMATS if form.name == name and form.readable)
     makers: dict[str, Any] = {
         "SparseVoxelOctree": lambda: _compressed() if name == "svoq" else _octrees(name),
@@ -283,6 +285,8 @@ def _meshes(name: str) -> Iterator[bytes]:
     coloured = replace(cube(0.3), colours=np.linspace(0, 1, 24, dtype=np.float32).reshape(8, 3))
     yield _encoded(name, Meshes((plain, coloured)))
     yield _encoded(name, Meshes((flat,)))
+    if name == "usdz":
+        yield _encoded(name, Meshes((replace(flat, texture=texture(6, 5)), coloured)), up="z", image="jpeg")
     if name == "glb":
         textured = replace(flat, texture=texture(6, 5))
         yield _encoded(name, Meshes((textured, coloured)))
@@ -323,6 +327,8 @@ def _splats(name: str) -> Iterator[bytes]:
         yield _encoded(name, replace(splats(4, degree=0), origin=_MAP))
         yield packed_glb(splats(4, degree=1))
         yield from (scene.data for scene in scenes() if scene.name in ("node_uneven_matrix", "interleaved"))
+    elif name.startswith("usd"):
+        yield _encoded(name, replace(splats(4, degree=1), origin=_MAP, up="z"), half=True)
     elif name == "spz":
         yield _encoded(name, splats(4), axes="LFU", spz_version=3)
         yield from (gzip_spz(splats(4), version) for version in (1, 2, 3))

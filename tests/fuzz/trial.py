@@ -258,7 +258,9 @@ def _written(form: catalog.Format, scene: Any, place: Path) -> None:
     """Write a scene, and check that it is the same when read back."""
     path = place / f"out{form.suffix}"
     io.save(path, scene, force=True)
-    again: Any = io.load(path)
+    if not form.readable or (form.library and isinstance(scene, nerfbake.Cameras)):
+        return
+    again: Any = form.load_stored_module().stored(scene) if form.library else io.load(path)
     if _told(again) != _told(scene):
         raise AssertionError(f"was {_told(scene)}, comes back as {_told(again)}")
 

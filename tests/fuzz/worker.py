@@ -16,9 +16,11 @@ import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
+from nerfbake.formats.wire.usd import reading
 from tests.fuzz import corpus
 from tests.fuzz.breakage import Case, case_of
 from tests.fuzz.trial import Finding, Trial
+from tests.support.usd import UsdServer
 
 ADDRESS_SPACE = 6 << 30  # bytes: only runaway allocations reach this limit
 
@@ -42,6 +44,8 @@ def warm_up() -> None:
 
 
 def main(seed: int, state: Path) -> None:
+    server = UsdServer()
+    reading.exchange = server.exchange
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
     warm_up()
     with open(state, "r+b", buffering=0) as file:

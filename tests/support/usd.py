@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import subprocess
+import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdValidation
 
+from nerfbake import memory
 from nerfbake.formats.wire.usd import _child, reading
 from nerfbake.formats.wire.usd.package import encode_package
+from tests.conftest import REPOSITORY
 
 HEAD = '#usda 1.0\n(\n defaultPrim = "scene"\n metersPerUnit = {metres}\n upAxis = "{up}"\n)\n'
 
@@ -74,3 +79,43 @@ def _run(layers: Mapping[str, memoryview]) -> tuple[dict[str, Any], memoryview]:
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read stages without a process of their own, which takes a quarter of a second."""
     monkeypatch.setattr(reading, "run_child", _run)
+
+
+class UsdServer:
+    """A process that has loaded OpenUSD, and reads each stage in a fork. One request takes a hundredth of a second."""
+
+    def __init__(self) -> None:
+        environment = os.environ | {"PXR_WORK_THREAD_LIMIT": "1"}
+        command = [sys.executable, "-m", "tests.support.usd_server"]
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+            cwd=REPOSITORY,
+        )
+
+    def exchange(self, pieces: Sequence[bytes | memoryview]) -> tuple[memoryview, int]:
+        """What the child of reading.exchange() would answer, and its exit code."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(b"".join(pieces))
+        self._process.stdin.flush()
+        code, size = json.loads(self._process.stdout.readline())
+        memory.hold("the stage", size)
+        return memoryview(self._process.stdout.read(size)), code
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+
+@pytest.fixture(scope="module")
+def in_forks() -> Iterator[None]:
+    """Read all stages of a module in forks of one process, where they may crash."""
+    server = UsdServer()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reading, "exchange", server.exchange)
+        yield
+    server.close()

@@ -35,11 +35,11 @@ from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.splats import BASES, MOVING, SplatRows, Splats, splats_in_blocks
 
 KIND = "ParticleField3DGaussianSplat"
-MOST_DEGREE = 4
+MOST_DEGREE = 3  # that is written: NVIDIA's rule for splats knows no higher one
 KEEPS_ORIGIN = True
 KEEPS_UP = True
 LARGEST_HALF = 65504.0
-_DEGREE, _SH = "radiance:sphericalHarmonicsDegree", "radiance:sphericalHarmonicsCoefficients"
+DEGREE, SH = "radiance:sphericalHarmonicsDegree", "radiance:sphericalHarmonicsCoefficients"
 _ANTIALIASED = "nerfbake:antialiased"
 _DEFAULT_DEGREE = 3
 _SIGMAS = 3.0  # to which the kernel is drawn
@@ -56,8 +56,8 @@ def splat_stage(scene: Splats, *, half: bool = False) -> Stage:
         f"scales{end}": Attribute(f"{kind}3[]", turned.scales),
         f"orientations{end}": Attribute(f"quat{kind[0]}[]", turned.quats),
         f"opacities{end}": Attribute(f"{kind}[]", turned.opacity),
-        _DEGREE: Attribute("int", turned.degree, uniform=True),
-        f"{_SH}{end}": Attribute(f"{kind}3[]", turned.sh, {"elementSize": turned.B, "interpolation": "vertex"}),
+        DEGREE: Attribute("int", turned.degree, uniform=True),
+        f"{SH}{end}": Attribute(f"{kind}3[]", turned.sh, {"elementSize": turned.B, "interpolation": "vertex"}),
         "extent": Attribute("float3[]", _extent(turned)),
         "projectionModeHint": Attribute("token", "perspective", uniform=True),
         "sortingModeHint": Attribute("token", "zDepth", uniform=True),
@@ -156,13 +156,13 @@ def _splats(prim: StagePrim) -> Splats | None:
             notes.append(f"{name} of {prim.path} are {len(found):,}, not {n * times:,}; their default is used")
         return np.broadcast_to(np.array(default, np.float32), (n * times, columns))
 
-    degree = values.get(_DEGREE, _DEFAULT_DEGREE)
-    if not isinstance(degree, int) or not 0 <= degree <= MOST_DEGREE:
-        raise InvalidFile(Problem(f"{prim.path}.{_DEGREE}", f"is {degree!r:.40}", f"0 to {MOST_DEGREE}"))
+    degree = values.get(DEGREE, _DEFAULT_DEGREE)
+    if not isinstance(degree, int) or not 0 <= degree < len(BASES):
+        raise InvalidFile(Problem(f"{prim.path}.{DEGREE}", f"is {degree!r:.40}", f"0 to {len(BASES) - 1}"))
     scales, turns = column("scales", 3, [1, 1, 1]), column("orientations", 4, [0, 0, 0, 1])
     opacities = column("opacities", 1, [1])
     B = BASES[degree]
-    sh = column(_SH, 3, [0, 0, 0], B)
+    sh = column(SH, 3, [0, 0, 0], B)
     if not sh.strides[0]:  # the default is grey, whatever the degree is
         B, sh = 1, sh[:n]
 

@@ -39,7 +39,8 @@ class Refused(Exception):
     """A file that is not read. Its arguments are place, found and allowed, as in nerfbake's errors."""
 
 
-def _main() -> None:
+def main() -> None:
+    """Answer the request on stdin."""
     request = json.loads(sys.stdin.buffer.readline())
     for name, size in request["files"]:
         Path(name).parent.mkdir(parents=True, exist_ok=True)
@@ -51,9 +52,17 @@ def _main() -> None:
     with suppress(ImportError):
         import resource  # not on Windows
 
-        for what, most in (("AS", request["bytes"]), ("FSIZE", 0), ("CORE", 0)):
-            resource.setrlimit(getattr(resource, f"RLIMIT_{what}"), (most, most))  # FSIZE: no report of a crash
-        resource.setrlimit(resource.RLIMIT_CPU, (request["seconds"], request["seconds"] + 5))  # first by SIGXCPU
+        seconds = request["seconds"]
+        for name, soft, hard in (
+            ("AS", request["bytes"], request["bytes"]),
+            ("CPU", seconds, seconds + 5),  # SIGXCPU, then SIGKILL
+            ("FSIZE", 0, 0),  # no report of a crash
+            ("CORE", 0, 0),
+        ):
+            what = getattr(resource, f"RLIMIT_{name}")
+            most = resource.getrlimit(what)[1]
+            limits = [value if most == resource.RLIM_INFINITY else min(value, most) for value in (soft, hard)]
+            resource.setrlimit(what, (limits[0], limits[1]))
     arrays = Arrays()
     try:
         found = read_stage(request["root"], [name for name, _ in request["files"]], arrays)
@@ -274,4 +283,4 @@ def _input(prim: Any, name: str) -> Any:
 
 
 if __name__ == "__main__":
-    _main()
+    main()

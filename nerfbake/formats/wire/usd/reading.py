@@ -15,7 +15,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -145,25 +145,28 @@ def run_child(layers: Mapping[str, memoryview]) -> tuple[dict[str, Any], memoryv
         "bytes": memory.left() + _LIBRARY,
         "seconds": _SECONDS + size // _PER_SECOND,
     }
+    received, code = exchange([json.dumps(request).encode() + b"\n", *layers.values()])
+    length = int.from_bytes(received[:8], "little")
+    if code or len(received) < 8 + length:
+        raise _crash(code)
+    answer: dict[str, Any] = json.loads(bytes(received[8 : 8 + length]))
+    return answer, received[8 + length :]
+
+
+def exchange(pieces: Sequence[bytes | memoryview]) -> tuple[memoryview, int]:
+    """Write a request to a new child; return what it answers, and its exit code. Raises MemoryLimit."""
     received = bytearray()
     with _child() as process:
         assert process.stdin is not None
         assert process.stdout is not None
         with suppress(BrokenPipeError):  # it has crashed already
-            process.stdin.write(json.dumps(request).encode() + b"\n")
-            for data in layers.values():
-                process.stdin.write(data)
+            for piece in pieces:
+                process.stdin.write(piece)
             process.stdin.close()
         while piece := process.stdout.read(_CHUNK):
             memory.hold("the stage", len(piece))
             received += piece
-        code = process.wait()
-    view = memoryview(received).toreadonly()
-    length = int.from_bytes(view[:8], "little")
-    if code or len(view) < 8 + length:
-        raise _crash(code)
-    answer: dict[str, Any] = json.loads(bytes(view[8 : 8 + length]))
-    return answer, view[8 + length :]
+        return memoryview(received).toreadonly(), process.wait()
 
 
 def _crash(code: int) -> InvalidFile | MemoryLimit:
