@@ -40,13 +40,13 @@ def scenes() -> dict[str, Cameras]:
 def cases() -> Iterator[Case]:
     for name, cameras in scenes().items():
         files = {f"camera/{name}.json": Frozen(form_named("json"), cameras)}
-        yield Case(f"camera/{name}", "Cameras as transforms.json has them.", files, _facts(cameras), answer)
+        yield Case(f"camera/{name}", "Cameras as transforms.json has them.", files, facts_of(cameras), answer)
     shared = scenes()["shared"]
     files = {"camera/capture": Frozen(form_named("transforms"), shared)}
-    yield Case("camera/capture", "A capture's folder, without its pictures.", files, _facts(shared), answer)
+    yield Case("camera/capture", "A capture's folder, without its pictures.", files, facts_of(shared), answer)
 
 
-def _facts(cameras: Cameras) -> Facts:
+def facts_of(cameras: Cameras) -> Facts:
     return {"cameras": [{**_told(camera), "rays": _rays(camera)} for camera in cameras.cameras]}
 
 

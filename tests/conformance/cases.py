@@ -13,6 +13,7 @@ from tests.conformance import (
     octrees,
     pictures,
     splats,
+    stages,
     volumes,
     voxels,
 )
@@ -32,6 +33,7 @@ CASES = [
         atlases,
         lattices,
         functions,
+        stages,
     )
     for case in family.cases()
 ]

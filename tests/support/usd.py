@@ -75,10 +75,19 @@ def _run(layers: Mapping[str, memoryview]) -> tuple[dict[str, Any], memoryview]:
         return json.loads(json.dumps(answer)), memoryview(b"".join(arrays.views))
 
 
-@pytest.fixture
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+@contextlib.contextmanager
+def read_here() -> Iterator[None]:
     """Read stages without a process of their own, which takes a quarter of a second."""
-    monkeypatch.setattr(reading, "run_child", _run)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reading, "run_child", _run)
+        yield
+
+
+@pytest.fixture
+def in_this_process() -> Iterator[None]:
+    """read_here() for a test."""
+    with read_here():
+        yield
 
 
 class UsdServer:
