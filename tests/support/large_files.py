@@ -8,6 +8,7 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -17,9 +18,10 @@ from PIL import Image as Pillow
 
 from nerfbake import save
 from nerfbake.formats.atlas import folder as atlas_folder
+from nerfbake.formats.mesh import usda as mesh_usda
 from nerfbake.formats.mesh.glb_writer import MeshPart, encode_glb
 from nerfbake.formats.octree import svoq
-from nerfbake.formats.splat import glb, ply, spz
+from nerfbake.formats.splat import glb, ply, spz, usdc, usdz
 from nerfbake.formats.wire.picture import encode_texture
 from nerfbake.formats.wire.torch_writer import torch_file
 from nerfbake.formats.wire.zstd import compress
@@ -27,7 +29,7 @@ from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
 from nerfbake.scene.mesh import Mesh, Meshes
 from tests.support import environments, kplanes, merf, nerfstudio, snapshots, snerg, torch_ngp
 from tests.support.atlas_scenes import mlp_json
-from tests.support.meshes import polygon_ply
+from tests.support.meshes import polygon_ply, sphere
 from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
 from tests.support.splats import gzip_spz, packed_ply, sog_files, sog_levels, sog_zip, spark_spz, splat_rows, splats
@@ -308,6 +310,10 @@ FILES: dict[str, dict[str, Maker]] = {
         "levels.sog": _bytes(lambda: sog_zip(_levels())),
         "in its folder.sog": _bytes(lambda: sog_zip({f"a/{name}": data for name, data in _sog().items()})),
     },
+    "usd": {"crate.usd": _bytes(lambda: b"".join(usdc.encode(splats(_MANY // 2, degree=2))))},
+    "usdc": {"moved.usdc": _bytes(lambda: b"".join(usdc.encode(replace(splats(_MANY, degree=1), origin=np.ones(3)))))},
+    "usda": {"mesh.usda": _bytes(lambda: b"".join(mesh_usda.encode(Meshes((sphere(300, 300),)))))},
+    "usdz": {"half.usdz": _bytes(lambda: b"".join(usdz.encode(splats(_MANY // 2, degree=2), half=True)))},
     "splat": {"many.splat": _bytes(lambda: splat_rows(splats(_MANY, degree=0)))},
     "stage1": {"stage1": _folder(_stage1)},
     "atlas": {"atlas": _folder(_atlas)},
