@@ -84,7 +84,7 @@ class TriangleCounts(ParamType[tuple[int, ...]]):
 @click.option(
     "--in-up",
     type=click.Choice(["y", "z"]),
-    help="For a .glb: up axis of IN, which the nodes rotate to y, glTF's up axis.  [default: z]",
+    help="For a .glb or USD: up axis of IN, which is rotated to y, the up axis of these files.  [default: z]",
 )
 @click.option(
     "--lit",
@@ -134,13 +134,14 @@ def mesh(
     """Turn a field into a textured mesh.
 
     Finds the surface of the PlenOctree, octree, volume, lattice or splats IN, simplifies it, and fits a texture to
-    photographs (--views), or to pictures of IN. OUT is a .glb, an .obj with its .mtl and texture beside it, a .ply with
-    colours at the vertices, or a folder without an extension: nerf2mesh's stage 1, with highlights, which `nerfbake
-    atlas`, `view` and `render` take. If IN is such a folder, or MobileNeRF's, its texture becomes the mean colour over
-    all directions. Prints PSNR, SSIM and silhouettes of OUT on held-out views.
+    photographs (--views), or to pictures of IN. OUT is a .glb, USD (.usdz, .usdc, .usda), an .obj with its .mtl and
+    texture beside it, a .ply with colours at the vertices, or a folder without an extension: nerf2mesh's stage 1, with
+    highlights, which `nerfbake atlas`, `view` and `render` take. If IN is such a folder, or MobileNeRF's, its texture
+    becomes the mean colour over all directions. Prints PSNR, SSIM and silhouettes of OUT on held-out views.
 
     \b
       nerfbake mesh chair.npz chair.glb
+      nerfbake mesh chair.npz chair.usdz
       nerfbake mesh chair.npz chair_stage1 --views photographs
       nerfbake mesh chair.npz toy.obj --triangles 20k --texture 1024 --min-psnr 28
     """

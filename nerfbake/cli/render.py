@@ -116,7 +116,9 @@ def mesh_options(function: Command) -> Command:
     """Add --mesh, --mesh-up and --composite; pass the command `mesh`, a PlacedMesh or None."""
 
     @click.option(
-        "--mesh", type=Reads(), help="A .glb, .obj or .ply with opaque triangles, in the scene's world coordinates."
+        "--mesh",
+        type=Reads(),
+        help="A .glb, .obj, .ply or USD with opaque triangles, in the scene's world coordinates.",
     )
     @click.option(
         "--mesh-up",
@@ -173,7 +175,8 @@ def render(source: Source, pictures: PictureOutputs, shots: ViewSelection, conso
     """Render pictures or a turntable.
 
     Renders the PlenOctree, octree, volume, lattice, trained field, splats or mesh IN as PNG or as an animated GIF. A
-    density without colours is rendered grey. A mesh is a .glb, .obj or .ply, a stage-1 folder of nerf2mesh or an atlas.
+    density without colours is rendered grey. A mesh is a .glb, .obj, .ply or USD, a stage-1 folder of nerf2mesh or an
+    atlas.
 
     \b
       nerfbake render chair.npz --out chair.png

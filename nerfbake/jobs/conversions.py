@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING, Literal, cast
 from nerfbake import catalog, io, memory
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget, judge_output
-from nerfbake.jobs.cameras import write_cameras
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.grids import GridChoice, warn_about_halves
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.views import tell_file_of
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.function_field import FunctionField
@@ -164,6 +162,9 @@ def _convert_stage(
     source: Source, target: Target, *, in_up: str | None, choice: SplatChoice, steps: Steps
 ) -> Splats | Cameras:
     """Write the splats or the cameras of `source` in a format that has both."""
+    from nerfbake.jobs.cameras import write_cameras
+    from nerfbake.jobs.views import tell_file_of
+
     form = _require_splats(target, in_up, choice)
     found = source.read(steps, Splats, Cameras)
     if isinstance(found, Splats):

@@ -1,4 +1,4 @@
-"""Fields that are functions, small enough to check by hand, and other scenes of the same densities and colours."""
+"""A trained field to check by hand: its density is linear in |x| + |y| + |z|, its logits in the direction."""
 
 from __future__ import annotations
 

@@ -214,7 +214,7 @@ def _vertices(corners: Ints, values: list[npt.NDArray[Any]]) -> tuple[Ints, Ints
     used[corners] = True
     if used.all() and all((value[first][corners] == value).all() for value in values):
         return np.arange(count), first, corners
-    rows = [corners[:, None], *(value.astype(np.float32).view(np.int32) for value in values)]
+    rows: list[npt.NDArray[Any]] = [corners[:, None], *(value.astype(np.float32).view(np.int32) for value in values)]
     keys: npt.NDArray[np.int64] = np.concatenate(rows, axis=1)
     _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return corners[first], first, number.reshape(-1)

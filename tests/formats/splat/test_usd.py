@@ -103,7 +103,7 @@ def test_half_floats_are_the_nearest_and_positions_stay_in_float(module: ModuleT
     assert_array_equal(np.asarray(prim.GetOrientationshAttr().Get()), turned.quats[:, [1, 2, 3, 0]].astype(np.float16))
     assert_array_equal(np.asarray(prim.GetOpacitieshAttr().Get()), turned.opacity.astype(np.float16))
     assert errors_of(stage) == []
-    assert_same(read(data), module.stored(scene, half=True))  # type: ignore[attr-defined]
+    assert_same(read(data), module.stored(scene, half=True))
 
 
 def test_half_refuses_what_it_cannot_hold() -> None:
@@ -189,7 +189,7 @@ def test_splats_are_read_back_as_they_were(module: ModuleType, degree: int) -> N
     scene = splats(25, degree=degree, antialiased=degree % 2 == 0)
     found = read(written(module, scene))
     assert_same(found, scene)
-    assert_same(module.stored(scene), found)  # type: ignore[attr-defined]
+    assert_same(module.stored(scene), found)
     assert found.notes == ()
 
 

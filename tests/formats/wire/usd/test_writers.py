@@ -77,7 +77,7 @@ def test_every_value_comes_back_bit_for_bit(tmp_path: Path) -> None:
                 numbers = numbers[:, [1, 2, 3, 0]]  # USD has w last in memory
             assert np.asarray(value).tobytes() == numbers.tobytes(), attribute.kind
         elif base == "quatf":
-            assert [value.GetReal(), *value.GetImaginary()] == np.float32(attribute.value).tolist()
+            assert [value.GetReal(), *value.GetImaginary()] == np.asarray(attribute.value, np.float32).tolist()
 
 
 @pytest.fixture(scope="module")
