@@ -464,16 +464,17 @@ def require_content(head: bytes) -> None:
 def format_of_content(path: str, view: memoryview, *wanted: str) -> Format:
     """Return the format of a file or stream to read: by its extension, then by its content.
 
-    Of several that recognise it, the first with a wanted scene type is returned: a stage may have splats and cameras.
-    The content decides if several formats remain. A stream has no extension, and some extensions contain others: an
-    octree's .svo.npz may have been renamed to .npz.
+    The content decides if several formats remain. A stage of USD may have several kinds of scenes: of these, the first
+    that is `wanted`, by its name, is returned.
+    A stream has no extension, and some extensions contain others: an octree's .svo.npz may have been renamed to .npz.
     """
     known = [form for form in FORMATS if form.readable]
     by_ending = [form for form in known if path.lower().endswith(form.suffix)]
     likely = [form for form in known if not by_ending or form.suffix.endswith(by_ending[0].suffix)]
-    for form in sorted(likely, key=lambda form: form.scene not in wanted) if len(likely) > 1 else []:
+    for form in likely if len(likely) > 1 else []:
         if form.load_module().recognise(view):
-            return form
+            others = (each for each in likely if form.library and each.library and each.scene in wanted)
+            return next((each for each in others if each.load_module().recognise(view)), form)
     if by_ending:
         return by_ending[0]
     if unread := unread_file(path):

@@ -49,7 +49,10 @@ def test_options_that_do_not_fit_are_told(capsys: pytest.CaptureFixture[str]) ->
         (["a.ply", "b.spz", "--half"], "spz takes no option 'half'"),
         (["a.ply", "b.usdz", "--small"], "usdz takes no option 'small'; allowed: half (True, False)"),
         (["a.ply", "b.usdz", "--grid", "density"], "splats have no child slots, grids and codecs"),
-        (["cameras.json", "b.usda", "--half"], "`--half` is for splats, but cameras.json holds cameras; allowed: `--in-up`"),
+        (
+            ["cameras.json", "b.usda", "--half"],
+            "`--half` is for splats, but cameras.json holds cameras; allowed: `--in-up`",
+        ),
         (["cameras.json", "b.usda", "--in-up", "x"], "option 'up' of usda is 'x'; allowed: z, y"),
     ):
         assert run(["convert", *arguments]) == 2

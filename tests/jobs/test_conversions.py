@@ -224,7 +224,7 @@ def test_notes_and_dropped_rows_of_splats_are_told(tmp_path: Path, listener: Lis
 def test_options_that_do_not_fit_splats_are_told(tmp_path: Path) -> None:
     save(tmp_path / "a.ply", splats(3))
     for options, said in (
-        ({"half": True}, "splats have no child slots, grids and codecs"),
+        ({"half": True}, r"glb takes no option 'half'; allowed: none"),
         ({"choice": GridChoice(grids=("density",))}, "splats have no child slots, grids and codecs"),
         ({"choice": GridChoice(in_up="w")}, "`in_up` is 'w'; allowed: x, -x, y, -y, z, -z"),
         ({"splats": SplatChoice(small=True)}, r"glb takes no option 'small'; allowed: none"),
@@ -237,7 +237,7 @@ def test_options_that_do_not_fit_splats_are_told(tmp_path: Path) -> None:
         convert_file(tmp_path / "a.svo.pb", tmp_path / "b.svo.npz", splats=SplatChoice(small=True))
     with pytest.raises(UsageError, match="`spz_version` is for splats; allowed: OUT of splats"):
         convert_file(tmp_path / "a.svo.pb", tmp_path / "b.svo.npz", splats=SplatChoice(spz_version=3))
-    with pytest.raises(UsageError, match=r"no file extension for Gaussian splats; allowed: \.glb, \.ply, \.spz"):
+    with pytest.raises(UsageError, match=r"no file extension for Gaussian splats; allowed: \.glb, \.ply, \.usda, "):
         convert_file(tmp_path / "a.ply", tmp_path / "b.splat")
     assert not list(tmp_path.glob("b*"))
 

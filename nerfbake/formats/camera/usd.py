@@ -25,7 +25,7 @@ from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.camera.capture import DEFAULT_EDGE, names_of, room_for
 from nerfbake.formats.wire.usd.content import has_type
 from nerfbake.formats.wire.usd.reading import StagePrim, read_stage
-from nerfbake.formats.wire.usd.stage import Attribute, Prim, Relationship, Stage, prim_names
+from nerfbake.formats.wire.usd.stage import Attribute, Prim, Relationship, UsdStage, prim_names
 from nerfbake.kernels.maths.affine import length
 from nerfbake.scene.camera import Camera, Cameras
 
@@ -38,11 +38,11 @@ _SIZE, _PICTURE = "nerfbake:size", "nerfbake:picture"
 _FLIP = np.array([[1.0], [-1.0], [-1.0]])
 
 
-def camera_stage(cameras: Cameras, *, up: Literal["y", "z"]) -> Stage:
+def camera_stage(cameras: Cameras, *, up: Literal["y", "z"]) -> UsdStage:
     """Return the stage of cameras, whose world has this axis up. Raises InvalidScene for lens distortion."""
     names = prim_names((camera.name for camera in cameras.cameras), default="camera")
     prims = tuple(_prim(name, camera) for name, camera in zip(names, cameras.cameras, strict=True))
-    return Stage(Prim("scene", "Xform", children=prims), "Z" if up == "z" else "Y")
+    return UsdStage(Prim("scene", "Xform", children=prims), "Z" if up == "z" else "Y")
 
 
 def _prim(name: str, camera: Camera) -> Prim:

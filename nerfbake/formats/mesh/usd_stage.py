@@ -26,7 +26,7 @@ import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats.wire.picture import decode_texture, encode_picture
-from nerfbake.formats.wire.usd.stage import Attribute, Prim, Relationship, Stage
+from nerfbake.formats.wire.usd.stage import Attribute, Prim, Relationship, UsdStage
 from nerfbake.kernels.picture.metrics import to_linear
 from nerfbake.kernels.surface.normals import welded_normals
 from nerfbake.scene.mesh import Mesh, Meshes
@@ -37,7 +37,7 @@ UP = "nerfbake:up"
 _MATERIALS = "/scene/materials"
 
 
-def mesh_stage(scene: Meshes, stem: str, *, up: Literal["y", "z"], image: Image) -> Stage:
+def mesh_stage(scene: Meshes, stem: str, *, up: Literal["y", "z"], image: Image) -> UsdStage:
     """Return the stage of meshes. stem: of the textures' names. Raises InvalidScene for levels of detail."""
     if scene.coarser:
         raise InvalidScene(Problem("the mesh", f"has {1 + len(scene.coarser)} levels of detail", "one, or .glb"))
@@ -58,7 +58,7 @@ def mesh_stage(scene: Meshes, stem: str, *, up: Literal["y", "z"], image: Image)
     if turned.origin.any():
         place["xformOp:translate"] = Attribute("double3", turned.origin)
         place["xformOpOrder"] = Attribute("token[]", ["xformOp:translate"], uniform=True)
-    return Stage(Prim("scene", "Xform", place, children), "Y")
+    return UsdStage(Prim("scene", "Xform", place, children), "Y")
 
 
 def texture_names(scene: Meshes, stem: str, image: Image) -> dict[int, str]:

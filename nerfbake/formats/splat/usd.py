@@ -30,7 +30,7 @@ from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.splat.glb import placed_splats
 from nerfbake.formats.wire.usd.content import has_type
 from nerfbake.formats.wire.usd.reading import StagePrim, read_stage
-from nerfbake.formats.wire.usd.stage import Attribute, Prim, Stage
+from nerfbake.formats.wire.usd.stage import Attribute, Prim, UsdStage
 from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.splats import BASES, MOVING, SplatRows, Splats, splats_in_blocks
 
@@ -47,7 +47,7 @@ _ROWS = 1 << 14
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
-def splat_stage(scene: Splats, *, half: bool = False) -> Stage:
+def splat_stage(scene: Splats, *, half: bool = False) -> UsdStage:
     """Return the stage of splats. half: all but positions in half floats. Raises InvalidScene."""
     turned, up = as_stored(scene, half=half)
     end, kind = ("h", "half") if half else ("", "float")
@@ -67,7 +67,7 @@ def splat_stage(scene: Splats, *, half: bool = False) -> Stage:
     if turned.origin.any():
         properties["xformOp:translate"] = Attribute("double3", turned.origin)
         properties["xformOpOrder"] = Attribute("token[]", ["xformOp:translate"], uniform=True)
-    return Stage(Prim("scene", "Xform", children=(Prim("splats", KIND, properties),)), "Z" if up == "z" else "Y")
+    return UsdStage(Prim("scene", "Xform", children=(Prim("splats", KIND, properties),)), "Z" if up == "z" else "Y")
 
 
 def as_stored(scene: Splats, *, half: bool) -> tuple[Splats, str]:

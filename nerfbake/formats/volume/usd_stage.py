@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.formats.wire.usd.stage import Attribute, Prim, Relationship, Stage, prim_names
+from nerfbake.formats.wire.usd.stage import Attribute, Prim, Relationship, UsdStage, prim_names
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import transform_points
 from nerfbake.scene.volume import Volume
@@ -26,7 +26,7 @@ VDB = ".vdb"
 _PATH = "/scene/volume"
 
 
-def volume_stage(volume: Volume, stem: str, *, up: Literal["y", "z"]) -> Stage:
+def volume_stage(volume: Volume, stem: str, *, up: Literal["y", "z"]) -> UsdStage:
     """Return the stage of a volume whose grids are in the file `stem`.vdb. Raises InvalidScene."""
     labels = [grid.name for grid in volume.grids]
     if not all(labels) or len(set(labels)) < len(labels):
@@ -45,7 +45,7 @@ def volume_stage(volume: Volume, stem: str, *, up: Literal["y", "z"]) -> Stage:
     )
     properties: dict[str, Attribute | Relationship] = {"extent": Attribute("float3[]", _extent(volume))}
     properties |= {f"field:{name}": Relationship((f"{_PATH}/{name}",)) for name in names}
-    return Stage(
+    return UsdStage(
         Prim("scene", "Xform", children=(Prim("volume", "Volume", properties, fields),)), "Z" if up == "z" else "Y"
     )
 

@@ -9,13 +9,14 @@ import pytest
 from pxr import Usd, UsdGeom, UsdVol
 
 from nerfbake import build_octree, build_vdb, load, save
-from nerfbake.errors import InvalidScene, UsageError
+from nerfbake.errors import InvalidFile, InvalidScene, UsageError
 from nerfbake.formats.volume import usda, usdc
 from nerfbake.jobs import bake_volume
 from nerfbake.jobs.budgets import Budget
 from nerfbake.scene.volume import Volume
 from tests.support.scenes import n3tree
 from tests.support.usd import errors_of, facts_of
+from tests.support.usd import in_this_process as in_this_process
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +71,15 @@ def test_a_scene_becomes_a_stage_with_a_budget(tmp_path: Path) -> None:
     with pytest.raises(Exception, match=r"b\.vdb: exists already"):
         bake_volume(tmp_path / "a.npz", tmp_path / "b.usda")
     assert (tmp_path / "b.vdb").read_bytes() == b"mine"
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_a_stage_is_not_read_but_names_the_file_that_is(volume: Volume, tmp_path: Path) -> None:
+    for ending in ("usda", "usdc"):
+        save(tmp_path / f"a.{ending}", volume, force=True)
+        for kinds in ((), (Volume,)):
+            with pytest.raises(InvalidFile, match=r"the stage is that of a volume; allowed: the \.vdb beside it|holds"):
+                load(tmp_path / f"a.{ending}", *kinds)
 
 
 def test_what_a_stage_cannot_hold_is_refused(volume: Volume) -> None:

@@ -115,6 +115,9 @@ ENCODE_ONLY = {
     "gif",
     "png",
     "depth_png",
+    "package",
+    "text",
+    "_child",  # whose own tests damage stages
 }  # or read through formats/wire/picture
 
 

@@ -17,7 +17,7 @@ from nerfbake.formats.wire.usd import crate, text
 from nerfbake.formats.wire.zip_reader import MAX_MEMBERS, ZIP_MAGIC, ZipReader, npz_keys
 
 LAYERS = (".usda", ".usdc", ".usd")
-_MOST_TOKENS = 1 << 20  # bytes
+_MOST_TOKENS = 1 << 20  # bytes that are looked at
 _LONGEST = 200  # characters of a name
 
 
@@ -83,8 +83,8 @@ def _tokens(view: memoryview) -> bytes:
             if name.rstrip(b"\0") == b"TOKENS" and start >= 0:
                 _, size, packed = struct.unpack_from("<QQQ", view, start)
                 data = view[start + 24 : start + 24 + packed]
-                if size <= _MOST_TOKENS and data[0] == 0:
-                    return _unpacked(bytes(data[1:]), size)
+                if data[0] == 0:  # one chunk
+                    return _unpacked(bytes(data[1:]), min(size, _MOST_TOKENS))
     return b""
 
 

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.formats.wire.usd.stage import KINDS, METRES_PER_UNIT, Attribute, Prim, Relationship, Stage
+from nerfbake.formats.wire.usd.stage import KINDS, METRES_PER_UNIT, Attribute, Prim, Relationship, UsdStage
 
 MAGIC = b"PXR-USDC"
 _VERSION = (0, 8, 0)
@@ -44,7 +44,7 @@ _ALIGNED = 16  # bytes: where arrays start, so that a mapped file can be used as
 _HEADER = 88
 
 
-def encode_crate(stage: Stage) -> Iterator[bytes | memoryview]:
+def encode_crate(stage: UsdStage) -> Iterator[bytes | memoryview]:
     """Yield the file in pieces."""
     crate = _Crate()
     crate.add_stage(stage)
@@ -65,7 +65,7 @@ class _Crate:
         self._indices: dict[str, int] = {}
         self._specs: list[tuple[int, int, int]] = []
 
-    def add_stage(self, stage: Stage) -> None:
+    def add_stage(self, stage: UsdStage) -> None:
         self._number_paths("/", 0, 0)
         self._number_prim(stage.root, "/", 1)
         fields = [

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, MemoryLimit, Problem
-from nerfbake.formats.wire.usd.content import LAYERS, kind_of_layer, package_names
+from nerfbake.formats.wire.usd.content import LAYERS, has_type, kind_of_layer, package_names
 from nerfbake.formats.wire.zip_reader import ZIP_MAGIC, ZipReader
 from nerfbake.installation import require_installed
 from nerfbake.kernels.arrays import Floats
@@ -90,6 +90,8 @@ def read_stage(view: memoryview, beside: Mapping[str, memoryview] | None = None)
     if not 1e-9 <= metres <= 1e9:
         raise InvalidFile(Problem("metersPerUnit", f"is {metres:g}", "1e-09 to 1e+09"))
     prims = tuple(_prim(told, arrays, metres) for told in answer["prims"])
+    if not prims and has_type(view, "Volume"):
+        raise InvalidFile(Problem("the stage", "is that of a volume", "the .vdb beside it"))
     return StageContent(answer["up"], answer["turned"], prims, files, tuple(_notes(answer["left_out"])))
 
 

@@ -82,7 +82,7 @@ class Prim:
     schemas: tuple[str, ...] = ()
 
 
-class Stage(NamedTuple):
+class UsdStage(NamedTuple):
     """A stage. root: its only root prim; up: the axis that points up; its unit is a metre."""
 
     root: Prim

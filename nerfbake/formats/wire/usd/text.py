@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
-from nerfbake.formats.wire.usd.stage import KINDS, METRES_PER_UNIT, Attribute, Prim, Relationship, Stage
+from nerfbake.formats.wire.usd.stage import KINDS, METRES_PER_UNIT, Attribute, Prim, Relationship, UsdStage
 
 MAGIC = b"#usda"
 _STEP = 1 << 16  # rows of an array that are written at once
 
 
-def encode_text(stage: Stage) -> Iterator[bytes]:
+def encode_text(stage: UsdStage) -> Iterator[bytes]:
     """Yield the file in pieces."""
     yield f'{MAGIC.decode()} 1.0\n(\n    defaultPrim = "{stage.root.name}"\n'.encode()
     yield f'    metersPerUnit = {METRES_PER_UNIT:g}\n    upAxis = "{stage.up}"\n)\n'.encode()

@@ -95,7 +95,7 @@ def test_no_file_outside_is_opened(tmp_path: Path) -> None:
             assert "; allowed: layers in the same .usdz; `usdcat --flatten` of OpenUSD makes one layer" in refusal(data)
     for name in (str(secret), "../x.usda", "b/../../x.usda"):
         data = package({"a.usda": layer(f'def "s" (\n references = @{name}@\n)\n{{\n}}'), "b/c.usda": layer(ONE)})
-        assert f"a.usda refers to {name}" in refusal(data)
+        assert f"a.usda refers to {name[:60]}" in refusal(data)
 
 
 @here

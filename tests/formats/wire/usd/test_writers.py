@@ -17,7 +17,7 @@ from pxr import Sdf, Usd
 from nerfbake.errors import InvalidScene
 from nerfbake.formats.wire.usd.crate import encode_crate
 from nerfbake.formats.wire.usd.package import encode_package
-from nerfbake.formats.wire.usd.stage import KINDS, Attribute, Prim, Relationship, Stage, prim_names
+from nerfbake.formats.wire.usd.stage import KINDS, Attribute, Prim, Relationship, UsdStage, prim_names
 from nerfbake.formats.wire.usd.text import encode_text
 from tests.support.usd import exported, facts_of, opened
 
@@ -35,7 +35,7 @@ def value_of(kind: str) -> Any:
     return numbers if array or columns > 1 else numbers[0]
 
 
-def everything() -> Stage:
+def everything() -> UsdStage:
     """A stage with a value of every kind that is written, connections, relationships, schemas and nested prims."""
     kinds = [
         kind + array
@@ -53,7 +53,7 @@ def everything() -> Stage:
         "linked": Attribute("float3", source="/root/Größe/inner.outputs:rgb"),
     }
     children = (Prim("Größe", "Mesh", values, (inner,)), Prim("last", "Material", last, schemas=("A", "B")))
-    return Stage(Prim("root", "Xform", children=children), "Z")
+    return UsdStage(Prim("root", "Xform", children=children), "Z")
 
 
 def test_a_crate_and_text_hold_the_same(tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @example(numbers=[127, -1, -129, 32767, -1, -32769, 5, 5, 5] * 2)
 def test_packed_whole_numbers_are_read_as_they_were(place: Path, numbers: list[int]) -> None:
     root = Prim("a", "", {"x": Attribute("int[]", np.array(numbers), custom=True)})
-    place.write_bytes(b"".join(encode_crate(Stage(root, "Y"))))
+    place.write_bytes(b"".join(encode_crate(UsdStage(root, "Y"))))
     layer = Sdf.Layer.OpenAsAnonymous(str(place))
     assert list(layer.GetAttributeAtPath("/a.x").default) == numbers
 
@@ -100,7 +100,7 @@ def test_packed_whole_numbers_are_read_as_they_were(place: Path, numbers: list[i
 def test_packed_triangles_take_a_third_of_plain_ones() -> None:
     corners = np.add.outer(np.arange(3000), [0, 1, 2]).reshape(-1)
     root = Prim("a", "Mesh", {"faceVertexIndices": Attribute("int[]", corners)})
-    assert len(b"".join(encode_crate(Stage(root, "Y")))) < 4 * len(corners) / 3
+    assert len(b"".join(encode_crate(UsdStage(root, "Y")))) < 4 * len(corners) / 3
 
 
 def test_names_are_unique_identifiers_of_any_script() -> None:
