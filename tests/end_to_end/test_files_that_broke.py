@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from nerfbake import Meshes, build_field, build_octree, build_vdb, catalog, load, orbit_cameras, save
+from nerfbake import Cameras, Meshes, build_field, build_octree, build_vdb, catalog, load, orbit_cameras, save
 from nerfbake.cli.main import run
 from nerfbake.errors import NerfbakeError
 from nerfbake.memory import memory_limit
@@ -20,7 +20,7 @@ from tests.support.scenes import n3tree
 HOSTILE = DATA / "hostile"
 FILES = sorted(path for path in HOSTILE.glob("*") if path.name != "README.md")
 OCTREES = tuple(form.suffix for form in catalog.FORMATS if form.scene == "SparseVoxelOctree" and not form.written)
-VOLUMES = tuple(form.suffix for form in catalog.FORMATS if form.scene == "Volume")
+VOLUMES = tuple(form.suffix for form in catalog.FORMATS if form.scene == "Volume" and form.readable)
 
 
 def commands(path: Path, tmp_path: Path) -> list[list[str]]:
@@ -91,4 +91,7 @@ def test_what_it_holds_is_written_in_every_format_and_read_again(path: Path, tmp
             save(tmp_path / f"out{form.suffix}", scene)
         except NerfbakeError:
             continue
-        assert str(load(tmp_path / f"out{form.suffix}", type(scene))) == str(scene)
+        told = [str(each) for each in (load(tmp_path / f"out{form.suffix}", type(scene)), scene)]
+        if isinstance(scene, Cameras):  # which name the program that wrote them
+            told = [text.partition(" (")[0] for text in told]
+        assert told[0] == told[1]
