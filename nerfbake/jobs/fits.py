@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from nerfbake import __version__, catalog, io, progress
 from nerfbake.errors import InvalidScene, Stopped, UsageError
+from nerfbake.installation import require_installed
 from nerfbake.jobs.compressions import CompressionGoal, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, kept_as_partial, write_partial
@@ -348,7 +349,8 @@ def _require(target: Target) -> str:
         endings = ", ".join(form.suffix for kind in KINDS for form in catalog.formats_of(kind))
         found = f"{target.ending!r} is not the extension of a field or a mesh"
         raise UsageError(f"{found}; allowed: {endings}, or `to=FORMAT`")
-    target.require(kind)
+    if library := target.require(kind).library:
+        require_installed(library, "measuring the file that fit wrote")
     if kind == "Meshes":
         require_mesh(target)
     return kind

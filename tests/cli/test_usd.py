@@ -74,6 +74,12 @@ def test_writing_needs_no_openusd_and_reading_names_the_extra(capsys: pytest.Cap
     assert "[usd]" in said
 
 
+@pytest.mark.usefixtures("without_openusd")
+def test_a_fit_that_could_not_be_measured_does_not_start(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["fit", "photographs", "toy.usdz"]) == 2
+    assert "measuring the file that fit wrote needs pxr, which is not installed" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("without_openusd")
 def test_a_mesh_and_splats_are_measured_without_openusd(capsys: pytest.CaptureFixture[str]) -> None:
