@@ -75,8 +75,8 @@ def convert_file(
         if layout or no_child or codec or choice.grids:
             raise UsageError("splats have no child slots, grids and codecs; allowed: `in_up` and the options of splats")
         convert = _convert_stage if catalog.is_ending(target.ending, "Cameras") else convert_splats
-        written = replace(splats, half=half or splats.half)
-        return convert(source, target, in_up=choice.in_up, choice=written, steps=steps)
+        splats = replace(splats, half=half or splats.half)
+        return convert(source, target, in_up=choice.in_up, choice=splats, steps=steps)
     if splats != SplatChoice():
         given = [name for name, value in vars(splats).items() if value]
         allowed = "`nerfbake compress` for octrees" if given == ["small"] else "OUT of splats"

@@ -96,7 +96,7 @@ def bake_field(
         steps.say(f"{source.name}: has no cameras, and is baked as seen from all around; `seen_from` gives cameras")
     box = None
     if options.box is not None:
-        box = field.world_box if options.box == "all" else world_box(options.box)  # type: ignore[arg-type]
+        box = field.world_box if options.box == "all" else world_box(options.box)
     with source.blamed(steps, "looking for what the cameras see"):
         field.require_usable()
         cameras = cameras or cameras_of(field)

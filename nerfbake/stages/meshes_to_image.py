@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -51,7 +53,7 @@ def surface_colours(hits: Hits, *, lit: bool = True) -> npt.NDArray[np.float32]:
     mesh = hits.mesh
     if mesh.texture is not None:
         if mesh.opaque is None or mesh.texture.shape[:2] == (1, 1):
-            colours = bilinear(mesh.texture, hits.uvs)
+            colours: npt.NDArray[Any] = bilinear(mesh.texture, hits.uvs)
         else:  # colours of holes must not show
             colours = nearest_texel(mesh.texture, hits.uvs) / np.float32(255)
         return colours if mesh.colours is None else colours * hits.mixed(mesh.colours)

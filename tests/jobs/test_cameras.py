@@ -62,7 +62,7 @@ def test_a_capture_in_two_dialects_fits_to_the_same_bytes(scene: tuple[Path, Rig
     tools.write_metashape(one, made, calibration="<k1>0.01</k1><p1>0.002</p1>")
     convert_cameras(one, str(other / "transforms.json"))
     for name, folder in (("one.npz", one), ("other.npz", other)):
-        fit_file(folder, str(tmp_path / name), recipe=QUICK)
+        fit_file(folder, str(tmp_path / name), options=QUICK)
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "other.npz").read_bytes()
     assert load(one, Cameras).dialect == "Metashape"
 
@@ -76,8 +76,8 @@ def test_pictures_of_every_tool_are_found(tool: str, tmp_path: Path, listener: L
     for number, path in enumerate(sorted(tmp_path.rglob("*.png"))):
         write_picture(path, spot(made.width, made.height, number % 4))
     for source in (tmp_path, tmp_path / file):
-        posed = read_photographs(listener, Source(str(source)), PhotographOptions(holdout=4))
-        assert (len(posed.trained.pictures), len(posed.judges.pictures)) == (3, 1)
+        split = read_photographs(listener, Source(str(source)), PhotographOptions(holdout=4))
+        assert (len(split.training.pictures), len(split.held_out.pictures)) == (3, 1)
 
 
 def test_what_a_capture_holds_out_judges_the_fit(tmp_path: Path, listener: Listener) -> None:
@@ -85,14 +85,14 @@ def test_what_a_capture_holds_out_judges_the_fit(tmp_path: Path, listener: Liste
     fields = json.loads((write_nerfstudio(pictured(tmp_path, made), made) / "transforms.json").read_text())
     fields["test_frames"] = [fields["frames"].pop(1), fields["frames"].pop(2)]
     (tmp_path / "transforms.json").write_text(json.dumps(fields))
-    posed = read_photographs(listener, Source(str(tmp_path)))
-    assert [camera.name for camera in posed.judges.cameras.cameras] == ["r_1", "r_3"]
-    assert [camera.name for camera in posed.trained.cameras.cameras] == ["r_0", "r_2", "r_4"]
+    split = read_photographs(listener, Source(str(tmp_path)))
+    assert [camera.name for camera in split.held_out.cameras.cameras] == ["r_1", "r_3"]
+    assert [camera.name for camera in split.training.cameras.cameras] == ["r_0", "r_2", "r_4"]
     (tmp_path / "images" / "r_1.png").unlink()  # the others keep their parts
-    posed = read_photographs(listener, Source(str(tmp_path)))
-    assert [camera.name for camera in posed.judges.cameras.cameras] == ["r_3"]
-    posed = read_photographs(listener, Source(str(tmp_path)), PhotographOptions(holdout=2))
-    assert len(posed.judges.pictures) == 2
+    split = read_photographs(listener, Source(str(tmp_path)))
+    assert [camera.name for camera in split.held_out.cameras.cameras] == ["r_3"]
+    split = read_photographs(listener, Source(str(tmp_path)), PhotographOptions(holdout=2))
+    assert len(split.held_out.pictures) == 2
 
 
 def test_files_of_cameras_that_are_not_read_are_named(tmp_path: Path, listener: Listener) -> None:

@@ -408,7 +408,7 @@ def test_a_fit_on_a_map_is_the_fit_at_home(
     quick = FitOptions(epochs="cells=8,prune=0.03/cells=16,rays=1,prune=0.02", basis="SH1")
     moved = moved_capture(capture, tmp_path / "moved", 5_000_000.0)
     home, away, tree = (
-        fit_file(path, name, recipe=quick, steps=listener)
+        fit_file(path, name, options=quick, steps=listener)
         for path, name in ((capture, "home.svo.npz"), (moved, "away.svo.npz"), (moved, "away.npz"))
     )
     assert away.psnr == pytest.approx(home.psnr, abs=1e-3)

@@ -23,8 +23,8 @@ def kplanes(*, concatenated: bool = True, appearance: int = 0, axes: int = 3) ->
             shape = CHANNELS, sizes[b], sizes[a]
             state[f"grids.{s}.plane_coefs.{c}"] = 1 + random(*shape, seed=60 + 10 * s + c)
     features = CHANNELS * (len(SCALES) if concatenated else 1)
-    sizes = {"sigma_net": (features, 1, 16), "color_net": (31 + appearance, 2, 3)}
-    for k, (name, (inputs, hidden, outputs)) in enumerate(sizes.items()):
+    layers = {"sigma_net": (features, 1, 16), "color_net": (31 + appearance, 2, 3)}
+    for k, (name, (inputs, hidden, outputs)) in enumerate(layers.items()):
         count = sum(rows * columns for rows, columns in tcnn_shapes(inputs, WIDTH, hidden, outputs))
         state[f"{name}.params"] = random(count, seed=80 + k, scale=0.3)
     if appearance:

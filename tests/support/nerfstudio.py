@@ -36,8 +36,8 @@ def random(*shape: int, seed: int = 0, scale: float = 0.5) -> Any:
 
 
 def tcnn_shapes(inputs: int, width: int, hidden: int, outputs: int) -> list[tuple[int, int]]:
-    up = lambda n: (n + 15) // 16 * 16  # noqa: E731
-    return [(width, up(inputs)), *[(width, width)] * (hidden - 1), (up(outputs), width)]
+    inputs, outputs = ((n + 15) // 16 * 16 for n in (inputs, outputs))
+    return [(width, inputs), *[(width, width)] * (hidden - 1), (outputs, width)]
 
 
 def tcnn_levels(levels: int, log2: int, base: int, growth: float) -> list[tuple[Any, int, int]]:

@@ -15,7 +15,8 @@ from nerfbake.formats.camera import usd, usda, usdc, usdz
 from nerfbake.formats.splat.usd import splat_stage
 from nerfbake.formats.wire.usd.text import encode_text
 from nerfbake.jobs import convert_file
-from nerfbake.scene.camera import Camera, Cameras, Lens, look_at
+from nerfbake.scene.camera import Camera, Cameras, look_at
+from nerfbake.scene.lens import Lens
 from nerfbake.scene.splats import Splats
 from tests.support.splats import splats
 from tests.support.usd import errors_of, facts_of, layer, opened

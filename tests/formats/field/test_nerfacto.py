@@ -77,7 +77,7 @@ def test_cameras_of_a_real_capture_are_where_the_program_had_them(data: Path, tm
     files = {name: (folder / name).read_bytes() for name in ("config.yml", "dataparser_transforms.json")}
     files["transforms.json"] = (folder / "capture_transforms.json").read_bytes()
     files["nerfstudio_models/step-000000001.ckpt"] = nerfstudio_file()
-    field = load(written(tmp_path, files))  # a run, although it has a transforms.json
+    field: object = load(written(tmp_path, files))  # a run, although it has a transforms.json
     assert isinstance(field, FunctionField)
     assert len(load(tmp_path, Cameras).cameras) == 24
     cameras = field.in_trained_world().cameras
