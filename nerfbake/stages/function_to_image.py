@@ -8,7 +8,7 @@ import numpy as np
 
 from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Floats, Points
+from nerfbake.kernels.arrays import Floats, Indices, Points, Singles
 from nerfbake.kernels.maths.affine import rotate, transform_points
 from nerfbake.kernels.network.samples import Walk, absorb, next_samples
 from nerfbake.kernels.picture.metrics import psnr
@@ -169,7 +169,7 @@ def _along(
     return out, outside
 
 
-def _add(out: Floats, rays: Points, weights: Floats, colours: Floats) -> None:
+def _add(out: Floats, rays: Indices, weights: Floats | Singles, colours: Singles) -> None:
     """Add weighted colours to those of their rays; the terms of a ray are added in order."""
     for channel in range(3):
         out[:, channel] += np.bincount(rays, weights * colours[:, channel].astype(np.float64), len(out))

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import BrickField, Camera, Cameras, bake_function, choose_function_part, load, memory_limit
 from nerfbake.errors import InvalidScene, MemoryLimit
-from nerfbake.kernels.arrays import Points
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.function_field import FunctionField
 from nerfbake.stages.field_to_image import render_field
@@ -26,7 +26,7 @@ def around() -> Cameras:
     return cameras_of(soft_field())
 
 
-def centres(made: BrickField) -> Points:
+def centres(made: BrickField) -> Any:
     return made.box[0] + (made.corners + 0.5) * made.cell_size
 
 
@@ -72,12 +72,12 @@ def test_a_turned_field_gives_the_turned_scene(around: Cameras, sh: bool) -> Non
     assert_allclose(_logits(found[met], back), _logits(wanted[met], look), atol=0.12)
 
 
-def _inverse(frame: Points) -> Points:
+def _inverse(frame: Any) -> Any:
     turn = np.linalg.inv(frame[:, :3])
     return np.column_stack([turn, -turn @ frame[:, 3]])
 
 
-def _logits(values: Points, look: Points) -> Points:
+def _logits(values: Any, look: Any) -> Any:
     x, y, z = look
     basis = np.array([0.28209479, *np.sqrt(3 / (4 * np.pi)) * np.array([-y, z, -x])])
     return values[:, :-1].reshape(-1, 3, 4) @ basis
@@ -109,7 +109,8 @@ def test_the_box_is_around_what_the_cameras_see(around: Cameras) -> None:
     assert_allclose(box[0], -box[1], atol=0.1)
 
 
-def test_light_from_far_away_makes_it_scenery(around: Cameras) -> None:
+def test_light_from_far_away_makes_it_scenery(around: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.stages.function_to_part._RESOLUTION", 32)
     field = soft_field(floor=0.004, contracted=True, cameras=around)
     part = choose_function_part(field)
     assert part.shells == 6
@@ -121,6 +122,7 @@ def test_light_from_far_away_makes_it_scenery(around: Cameras) -> None:
     assert_allclose(part.whole, part.box.mean(axis=0) + 32 * (part.box - part.box.mean(axis=0)))
 
 
+@pytest.mark.slow
 def test_scenery_ends_in_a_wall_where_the_field_is_opaque_beyond() -> None:
     poses = [look_at(np.zeros(3), turn, 0.4, 2.0) for turn in range(6)]
     cameras = Cameras(tuple(Camera(32, 32, 20.0, pose, str(k)) for k, pose in enumerate(poses)))

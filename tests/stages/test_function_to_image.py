@@ -73,7 +73,7 @@ def test_threads_change_no_byte(monkeypatch: pytest.MonkeyPatch) -> None:
     for threads in ("1", "3"):
         monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
         pictures.append(render_function(soft_field(), AHEAD).colour)
-    assert_array_equal(*pictures)
+    assert_array_equal(pictures[0], pictures[1])
 
 
 def test_the_loss_of_a_bake_and_the_light_outside_of_it() -> None:
