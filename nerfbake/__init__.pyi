@@ -51,7 +51,7 @@ from .stages.field_to_surface import build_surface as build_surface
 from .stages.function_to_brick_field import bake_function as bake_function
 from .stages.function_to_image import measure_function as measure_function
 from .stages.function_to_image import render_function as render_function
-from .stages.function_to_part import choose_function_part as choose_function_part
+from .stages.function_to_part import identify_function_part as identify_function_part
 from .stages.lattice_to_image import measure_lattice as measure_lattice
 from .stages.lattice_to_image import render_lattice as render_lattice
 from .stages.lattice_to_octree import build_octree_from_lattice as build_octree_from_lattice

@@ -10,7 +10,7 @@ from nerfbake.cli.params import CAPTURE, Box, Command, ParamType, bundled, is_wh
 from nerfbake.cli.paths import Capture
 
 
-class Cells(ParamType[int]):
+class CellCount(ParamType[int]):
     """Cells along an edge, a power of two from 8 to 4096."""
 
     name = "R"
@@ -31,7 +31,9 @@ world_option = click.option(
 )
 _OPTIONS = {
     "resolution": click.option(
-        "--resolution", type=Cells(), help="Cells along each edge of what is baked of a trained field.  [default: 256]"
+        "--resolution",
+        type=CellCount(),
+        help="Cells along each edge of a baked field (trained fields only).  [default: 256]",
     ),
     "box": click.option(
         "--box",

@@ -10,7 +10,6 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.reading_options import ReadingOptions
 from nerfbake.jobs.steps import Steps
-from nerfbake.scene.camera import Cameras
 from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.views import world_box
@@ -88,7 +87,7 @@ def bake_field(
     from nerfbake.stages.brick_field_to_n3tree import build_n3tree
     from nerfbake.stages.function_to_brick_field import bake_function
     from nerfbake.stages.function_to_image import measure_function
-    from nerfbake.stages.function_to_part import cameras_of, choose_function_part
+    from nerfbake.stages.function_to_part import cameras_of, identify_function_part
     from nerfbake.stages.scene_to_field import build_field_from_n3tree
 
     cameras = None if options.seen_from is None else read_cameras(steps, options.seen_from)
@@ -108,7 +107,7 @@ def bake_field(
             rest = tuple(camera for camera in cameras.cameras if camera.name not in names)
             cameras = replace(cameras, cameras=rest) if len(rest) >= _MANY - _VIEWS else cameras
         field = replace(field, cameras=cameras)
-        chosen = choose_function_part(field, cameras, box=box, scenery=options.scenery)
+        chosen = identify_function_part(field, cameras, box=box, scenery=options.scenery)
     told = "the box" if chosen.shells == 1 else "the inner cube"
     ends = " to ".join(", ".join(f"{value:.4g}" for value in corner) for corner in chosen.box.tolist())
     why = "" if chosen.outside is None else f": {chosen.outside:.1%} of the light comes from outside of the middle"
@@ -132,9 +131,3 @@ def bake_field(
     seen = f"{lost.psnr:.2f} dB against {len(views.cameras)} pictures of the field itself"
     steps.say(f"{source.name}: {tree}, {seen}; {lost.outside:.2%} of their light is from outside of what was baked")
     return tree, field
-
-
-def own_views(field: FunctionField, frames: int, edge: int) -> Cameras:
-    """Return some cameras of a field that has cameras. Their pictures are small, because they take long."""
-    assert field.cameras is not None
-    return field.cameras.few(frames, min(edge, 2 * _EDGE))

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from nerfbake import io, progress
-from nerfbake.jobs.function_voxels import own_views
 from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.camera import Camera, Cameras
@@ -26,6 +25,8 @@ from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scenes_to_comparison import compare_scenes
 from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1
+
+_OWN_EDGE = 128  # pixels along the longer edge of the pictures of a trained field, which take long
 
 
 def read_cameras(steps: Steps, path: str) -> Cameras:
@@ -77,7 +78,7 @@ def views_of(
     own      without a capture, use some of the cameras that a trained field has, instead of an orbit
     """
     if cameras is None and own and isinstance(scene, FunctionField) and scene.cameras is not None:
-        return own_views(scene, frames, edge).chosen(size=size, samples=samples)
+        return scene.cameras.few(frames, min(edge, _OWN_EDGE)).chosen(size=size, samples=samples)
     if cameras is None:
         width, height = size or (edge, edge)
         with steps.phase("framing"), io.blame(name):

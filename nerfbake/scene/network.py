@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -17,13 +17,13 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats, Ints, Points, Singles
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import exp, expm1, log, sine_cosine
-from nerfbake.kernels.network.hash_grid import Levels, grid_features
-from nerfbake.kernels.network.mlp import PackedLayers, pack_layers, run_mlp
-from nerfbake.kernels.network.planes import PackedPlanes, plane_features
 from nerfbake.scene.base import number_problems, require_shape
 from nerfbake.scene.basis import SH_SIZES
 from nerfbake.scene.lattice_field import Activation
 from nerfbake.scene.stage1 import MAX_WEIGHT
+
+if TYPE_CHECKING:  # compiled code is imported when a network is evaluated, so that it can be described without
+    from nerfbake.kernels.network.mlp import PackedLayers
 
 MAX_UNITS, MAX_LAYERS = 4096, 32
 MAX_LEVELS, MAX_FEATURES = 64, 32  # of a hash grid
@@ -78,10 +78,14 @@ class Mlp:
     @cached_property
     def packed(self) -> PackedLayers:
         """The layers as kernels take them."""
+        from nerfbake.kernels.network.mlp import pack_layers
+
         return pack_layers(self.weights, self.biases, self.skips, self.rectified)
 
     def __call__(self, inputs: Singles) -> Singles:
         """Return (out, m) for inputs (in, m) float32."""
+        from nerfbake.kernels.network.mlp import run_mlp
+
         return run_mlp(self.packed, inputs, self.outputs)
 
     def problems(self, name: str) -> list[Problem]:
@@ -177,6 +181,8 @@ class HashGrid:
 
     def __call__(self, points: Points | Singles) -> Singles:
         """(L F, m) float32 features of points (m, 3) in the unit cube; float32 as in the programs."""
+        from nerfbake.kernels.network.hash_grid import Levels, grid_features
+
         levels = Levels(self.table, self.first, self.scale, self.shift, self.dense)
         return grid_features(levels, np.asarray(points, np.float32))
 
@@ -226,6 +232,8 @@ class PlaneProducts:
 
     def __call__(self, points: Points | Singles) -> Singles:
         """(features, m) float32 of points (m, 3) in the unit cube; float32 as in the program."""
+        from nerfbake.kernels.network.planes import PackedPlanes, plane_features
+
         packed = PackedPlanes(self.values, self.nodes, self.channels)
         return plane_features(packed, np.asarray(points, np.float32), concatenated=self.concatenated)
 

@@ -158,7 +158,7 @@ def _split(field: FunctionField, low: Floats, size: Floats, width: float, R: int
     return np.repeat(np.repeat(np.repeat(held, 2, 0), 2, 1), 2, 2)
 
 
-class Seen(NamedTuple):
+class SeenCells(NamedTuple):
     """What cameras see of cells.
 
     largest  (n,) the largest share of a ray's light that each cell absorbs
@@ -173,7 +173,7 @@ class Seen(NamedTuple):
 
 def see(
     cells: FunctionCells, views: Sequence[Camera], near: float, *, total: bool = False, through: bool = False
-) -> Seen:
+) -> SeenCells:
     """Send rays from all cameras through the cells. near: where rays begin, in world units. Raises MemoryLimit.
 
     The result does not depend on the number of threads.
@@ -205,7 +205,7 @@ def see(
         for other in spare[1:]:
             np.maximum(largest, other.largest, out=largest)
             sums += other.total
-        return Seen(largest, sums, kept)
+        return SeenCells(largest, sums, kept)
 
 
 def spread_cameras(cameras: Cameras) -> Cameras:

@@ -19,7 +19,7 @@ from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.network import BasisColour, Network
 from nerfbake.stages._function_cells import FunctionCells, Wall, baking_views, find_cells, see, spread_cameras
 from nerfbake.stages.function_to_image import look_beyond
-from nerfbake.stages.function_to_part import FunctionPart, cameras_of, choose_function_part
+from nerfbake.stages.function_to_part import FunctionPart, cameras_of, identify_function_part
 
 # Figures below: PSNR of a nerfacto in 128^3 against its own pictures from 8 cameras, of which 4 were not trained with.
 DIRECTIONS = 12  # at least, from which the colours of a cell are computed: 8 cost 0.2 dB, 24 gain 0.02 dB
@@ -50,7 +50,7 @@ def bake_function(
 
     resolution  cells along each edge of the box or inner cube, a power of two from 8; with scenery from 32
     basis       SH1 to SH25; None: that of a network that computes spherical harmonics itself, else SH9
-    part        the part of the field; None: choose_function_part()
+    part        the part of the field; None: identify_function_part()
     cameras     from which the field is seen; None: those that it was trained with, or else 48 all around it
     sigma_min   cells of a lower density per world unit are empty
 
@@ -81,7 +81,7 @@ def bake_function(
     cameras = cameras or cameras_of(field)
     cameras.require_covered()
     with progress.part(0, 0.1):
-        box, shells, _ = part or choose_function_part(field, cameras)
+        box, shells, _ = part or identify_function_part(field, cameras)
     with progress.part(0.1, 0.4):
         wall = _wall(field, box, resolution, shells) if shells > 1 and field.contracted else None
         cells = find_cells(field, box, resolution, shells, sigma_min, wall)
@@ -158,7 +158,7 @@ def _colour(
     B: int,
     values: Singles,
 ) -> None:
-    """Write the coefficients of all cells into values (n, 3 B + 1). through (C, n): transmittances, see Seen."""
+    """Write the coefficients of all cells into values (n, 3 B + 1). through (C, n): transmittances, see SeenCells."""
     own = _coefficients(field)
     if own is not None and own.size == B:
         _copy(field, own, cells, values)

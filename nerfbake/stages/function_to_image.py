@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats, Indices, Points, Singles
 from nerfbake.kernels.maths.affine import rotate, transform_points
-from nerfbake.kernels.network.samples import Walk, absorb, next_samples
 from nerfbake.kernels.picture.metrics import psnr
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.function_field import FunctionField
@@ -18,6 +17,9 @@ from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.stages._supersampled import supersampled
 from nerfbake.stages.field_to_image import render_field
+
+if TYPE_CHECKING:
+    from nerfbake.kernels.network.samples import RayWalk
 
 # Steps along an edge of the box or, of a contracted field, of the inner cube. Pictures of a nerfacto with 512, 1,024
 # and 2,048 differ from those with 4,096 by 56, 69 and 80 dB.
@@ -143,6 +145,8 @@ def _along(
 
     Also returns the sum of the weights outside of a box. start: where rays begin at least, in trained units.
     """
+    from nerfbake.kernels.network.samples import absorb, next_samples
+
     walk, m = _walk(field, eye, looks, start), len(looks)
     out, left, sums, outside = np.zeros((m, 5)), np.ones(m), np.zeros((m, 2)), 0.0
     at, rays = walk.spans[:, 0].copy(), np.flatnonzero(walk.spans[:, 0] < walk.spans[:, 1])
@@ -175,8 +179,10 @@ def _add(out: Floats, rays: Indices, weights: Floats | Singles, colours: Singles
         out[:, channel] += np.bincount(rays, weights * colours[:, channel].astype(np.float64), len(out))
 
 
-def _walk(field: FunctionField, eye: Floats, looks: Points, start: Floats | float) -> Walk:
+def _walk(field: FunctionField, eye: Floats, looks: Points, start: Floats | float) -> RayWalk:
     """Return where rays from a world point go, in trained units."""
+    from nerfbake.kernels.network.samples import RayWalk
+
     origin, ways = transform_points(eye, field.frame), rotate(looks, field.frame[:, :3] / field.scale)
     begin = np.maximum(np.full(len(looks), field.near), start)
     end = np.full(len(looks), min(field.far, FARTHEST) if field.contracted else np.inf)
@@ -191,4 +197,4 @@ def _walk(field: FunctionField, eye: Floats, looks: Points, start: Floats | floa
         end = np.minimum(end, sides.max(axis=0).min(axis=1))
     spans = np.stack([begin, np.maximum(begin, end)], axis=1)
     low, size = field.space[0], field.space[1] - field.space[0]
-    return Walk(origin, ways, spans, edge / STEPS, field.contracted, field.filled, low, size)
+    return RayWalk(origin, ways, spans, edge / STEPS, field.contracted, field.filled, low, size)

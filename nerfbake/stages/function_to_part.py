@@ -42,7 +42,7 @@ class FunctionPart(NamedTuple):
         return np.stack([middle - half, middle + half])
 
 
-def choose_function_part(
+def identify_function_part(
     field: FunctionField, cameras: Cameras | None = None, *, box: Points | None = None, scenery: bool | None = None
 ) -> FunctionPart:
     """Return the part that is baked. None as `scenery`: only if much light comes from outside of the middle.

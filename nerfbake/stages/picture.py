@@ -14,7 +14,6 @@ from nerfbake.scene.mesh import Meshes, vertex_box
 from nerfbake.scene.radiance_field import RadianceField, require_field
 from nerfbake.scene.splats import Splats, up_axes
 from nerfbake.scene.stage1 import Stage1
-from nerfbake.stages._scenery import inner_cube_of
 from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.function_to_image import render_function
 from nerfbake.stages.lattice_to_image import render_lattice
@@ -76,6 +75,8 @@ def _box_of_function(field: FunctionField) -> npt.NDArray[np.float64]:
     Without cameras, a contracted field is framed from within its inner cube: cameras outside of it would not see
     through what it shows there.
     """
+    from nerfbake.stages._scenery import inner_cube_of
+
     if field.cameras is not None and len(field.cameras.cameras) > 1:
         box, part = inner_cube_of(field.cameras), 2 * _FRAMED
     else:

@@ -49,6 +49,7 @@ COMPOSED = {
     "budget",
     "choice",
     "data",
+    "functions",
     "goal",
     "look",
     "mesh",

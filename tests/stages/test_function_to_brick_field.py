@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import BrickField, Camera, Cameras, bake_function, choose_function_part, load, memory_limit
+from nerfbake import BrickField, Camera, Cameras, bake_function, identify_function_part, load, memory_limit
 from nerfbake.errors import InvalidScene, MemoryLimit
 from nerfbake.scene.camera import look_at
 from nerfbake.scene.function_field import FunctionField
@@ -103,7 +103,7 @@ def test_contraction_changes_nothing_inside_of_the_cube(around: Cameras) -> None
 
 
 def test_the_box_is_around_what_the_cameras_see(around: Cameras) -> None:
-    box, shells, outside = choose_function_part(soft_field(), around)
+    box, shells, outside = identify_function_part(soft_field(), around)
     assert (shells, outside) == (1, 0.0)
     assert ((box[1] >= 0.9 * REACH) & (box[1] <= 1.2 * REACH)).all()
     assert_allclose(box[0], -box[1], atol=0.1)
@@ -112,13 +112,13 @@ def test_the_box_is_around_what_the_cameras_see(around: Cameras) -> None:
 def test_light_from_far_away_makes_it_scenery(around: Cameras, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nerfbake.stages.function_to_part._RESOLUTION", 32)
     field = soft_field(floor=0.004, contracted=True, cameras=around)
-    part = choose_function_part(field)
+    part = identify_function_part(field)
     assert part.shells == 6
     assert part.outside is not None
     assert part.outside > 0.05
-    assert choose_function_part(field, scenery=False).shells == 1
-    assert choose_function_part(field, box=BOX).shells == 1
-    assert choose_function_part(field, box=BOX, scenery=True).shells > 1
+    assert identify_function_part(field, scenery=False).shells == 1
+    assert identify_function_part(field, box=BOX).shells == 1
+    assert identify_function_part(field, box=BOX, scenery=True).shells > 1
     assert_allclose(part.whole, part.box.mean(axis=0) + 32 * (part.box - part.box.mean(axis=0)))
 
 

@@ -15,7 +15,7 @@ from nerfbake.kernels.jit import borrowed, compiled, part_of
 from nerfbake.kernels.parallel import on_every_core
 
 
-class Walk(NamedTuple):
+class RayWalk(NamedTuple):
     """Where rays go.
 
     origin (3,) and unit directions (m, 3); spans (m, 2): where they start and end. step: its length, where |x|, the
@@ -34,7 +34,7 @@ class Walk(NamedTuple):
     size: Floats
 
 
-def next_samples(walk: Walk, rays: Ints, at: Floats, most: int) -> tuple[Ints, Floats]:
+def next_samples(walk: RayWalk, rays: Ints, at: Floats, most: int) -> tuple[Ints, Floats]:
     """Return how many samples each of these rays takes next, at most `most`, and their steps.
 
     rays (k,): numbers of the rays; at (m,): where each ray is, which is moved on. Returns (k,), and the begin and the
@@ -58,7 +58,7 @@ def absorb(counts: Ints, steps: Floats, thickness: Floats, rays: Ints, left: Flo
 
 @on_every_core
 @compiled()
-def _step(core: int, cores: int, walk: Walk, rays: Ints, at: Floats, counts: Ints, steps: Floats) -> None:
+def _step(core: int, cores: int, walk: RayWalk, rays: Ints, at: Floats, counts: Ints, steps: Floats) -> None:
     walk, rays, at, counts, steps = borrowed((walk, rays, at, counts, steps))
     begin, end = part_of(len(rays), core, cores)
     G, most = walk.filled.shape[0], steps.shape[1]
