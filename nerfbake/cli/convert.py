@@ -22,6 +22,9 @@ from nerfbake.cli.splat_files import splat_file_options
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
+# Names of the options of a trained field, and of --min-psnr.
+_OF_VOXELS = ("resolution", "box", "basis", "scenery", "world", "seen_from", "min_psnr")
+
 
 @click.command()
 @source_argument
@@ -83,8 +86,8 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
     if options["choice"].grids != (ALL,):
         convert_file(source, target, steps=console, **options)
         return
-    for name in ("layout", "no_child"):
-        without_effect(name, here="with --grid all, which writes volumes", allowed="no --grid all")
+    here = "with --grid all, which writes volumes"
+    without_effect("layout", "no_child", *_OF_VOXELS, here=here, allowed="no --grid all")
     split_volume(
         source, target, in_up=options["choice"].in_up, codec=options["codec"], half=options["half"], steps=console
     )
@@ -93,4 +96,4 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
 def _refuse_options() -> None:
     """Raise UsageError for the options of other scenes."""
     names = ("layout", "no_child", "grids", "in_up", "codec", "half", "small", "profile", "voxel_type")
-    without_effect(*names, here="on cameras", allowed="--to and --force")
+    without_effect(*names, *_OF_VOXELS, here="on cameras", allowed="--to and --force")

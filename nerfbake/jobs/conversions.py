@@ -61,7 +61,7 @@ def convert_file(
     half      store the values of a volume, or of splats, as float16
     splats    how splats are read and written
     functions  how a trained field becomes voxels
-    budget    of a trained field: the lowest allowed quality of `target`, which else becomes `target`.rejected
+    budget    of an octree or a PlenOctree: the lowest allowed quality of `target`, else it becomes `target`.rejected
 
     Arguments that are None keep the value of `source`, or the default of the format. Raises NerfbakeError.
 
@@ -74,6 +74,7 @@ def convert_file(
     if _is_ending(target, "Splats"):
         if layout or no_child or codec or choice.grids:
             raise UsageError("splats have no child slots, grids and codecs; allowed: `in_up` and the options of splats")
+        _refuse_voxels("splats", functions, budget)
         convert = _convert_stage if catalog.is_ending(target.ending, "Cameras") else convert_splats
         splats = replace(splats, half=half or splats.half)
         return convert(source, target, in_up=choice.in_up, choice=splats, steps=steps)
@@ -84,6 +85,7 @@ def convert_file(
     if _is_ending(target, "Volume"):
         if layout or no_child:
             raise UsageError("a volume has no child slots; allowed: no `layout` and no `no_child`")
+        _refuse_voxels("a volume", functions, budget)
         return _write_volume(steps, source, target, choice, codec, half=half)
     if _is_ending(target, "N3Tree") and not _is_ending(target, "SparseVoxelOctree"):
         if layout or no_child or codec or half:
@@ -105,6 +107,13 @@ def convert_file(
     with target.writing(steps, octree, no_child=no_child, codec=codec) as written:
         judge_output(written.path, reading.shown, budget, made_from=source.name, name=target.path, steps=steps)
     return octree
+
+
+def _refuse_voxels(written: str, functions: FunctionVoxels, budget: Budget) -> None:
+    """Raise UsageError for options of a trained field's voxels, and for a budget. written: what is written instead."""
+    given = [*sorted(functions.given), *(["min_psnr"] if budget != Budget() else [])]
+    if given:
+        raise UsageError(f"`{given[0]}` has no effect on {written}; allowed: with an octree or a PlenOctree as OUT")
 
 
 def _bake_tree(steps: Steps, source: Source, target: Target, functions: FunctionVoxels, budget: Budget) -> N3Tree:

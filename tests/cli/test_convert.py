@@ -153,6 +153,7 @@ def test_a_nvdb_of_many_grids_says_how_to_write_each(tmp_path: Path, capsys: pyt
     assert run([*line, "--grid", "all"]) == 0
     assert sorted(path.name for path in tmp_path.glob("*.nvdb")) == ["smoke.density.nvdb", "smoke.heat.nvdb"]
     assert run([*line, "--grid", "all", "--layout", "full"]) == 2
+    assert run([*line, "--grid", "all", "--resolution", "16"]) == 2
     assert "--layout has no effect" in capsys.readouterr().err
 
 
@@ -194,6 +195,9 @@ def test_cameras_become_those_of_other_programs(
     for options, code, said in (
         (["transforms.json"], 4, "transforms.json exists already"),
         (["a.json", "--half"], 2, "--half has no effect on cameras; allowed: --to and --force"),
+        (["a.json", "--min-psnr", "30"], 2, "--min-psnr has no effect on cameras; allowed: --to and --force"),
+        (["a.ply", "--resolution", "16"], 2, "--resolution has no effect on splats; allowed: with an octree or a "),
+        (["a.vdb", "--min-psnr", "30"], 2, "--min-psnr has no effect on a volume; allowed: with an octree or a "),
         (["a.svo.npz"], 1, "holds cameras"),
         (["-", "--to", "colmap"], 2, "stdout cannot be written as colmap"),
     ):
