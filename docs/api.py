@@ -36,7 +36,8 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     "Making fields": (
         nerfbake,
         "stages.scene_to_field stages.octree_to_brick_field stages.octree_to_lattice stages.lattice_to_image"
-        " stages.field_to_importance stages.function_to_part stages.function_to_brick_field",
+        " stages.function_to_part stages.function_to_brick_field stages.function_to_image"
+        " stages.field_to_importance",
     ),
     "Cameras and photographs": (
         nerfbake,
@@ -68,7 +69,7 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     "Pictures": (
         nerfbake,
         "scene.image stages.field_to_image stages.meshes_to_image stages.field_and_meshes_to_image"
-        " stages.stage1_to_image stages.function_to_image",
+        " stages.stage1_to_image",
     ),
     "Comparisons and facts": (nerfbake, "scene.comparison stages.scenes_to_comparison stages.scene_to_summary"),
     "Pages": (

@@ -85,6 +85,19 @@ def measure_function(field: FunctionField, made: RadianceField, cameras: Cameras
     """Compare pictures of a function with those of its bake, over white. box (2, 3): what was baked, in the world.
 
     Raises InvalidScene for fields that cannot be rendered; MemoryLimit.
+
+    >>> import numpy as np
+    >>> from nerfbake import FunctionField, bake_function, build_field, measure_function, scatter_cameras
+    >>> from nerfbake.scene.lattice_field import Activation
+    >>> from nerfbake.scene.network import Frequencies, HeadColour, Mlp, Network
+    >>> fog = Mlp((np.zeros((1, 3), np.float32),), (np.full(1, 9, np.float32),))
+    >>> grey = HeadColour(Mlp((np.zeros((3, 1), np.float32),), (np.zeros(3, np.float32),)), "none")
+    >>> network = Network(Frequencies(np.zeros(0)), fog, np.ones(1, np.float32), 0.0, Activation("relu"), grey)
+    >>> field = FunctionField(network, np.eye(3, 4), np.array([[-1.0] * 3, [1.0] * 3]))
+    >>> made = build_field(bake_function(field, resolution=8, basis="SH1"))
+    >>> loss = measure_function(field, made, scatter_cameras(field, frames=2, edge=16), made.world(made.box))
+    >>> loss.psnr > 25, loss.outside
+    (True, 0.0)
     """
     _require(field, 0)
     found, shares = [], []

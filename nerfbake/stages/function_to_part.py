@@ -51,6 +51,18 @@ def identify_function_part(
     has the smallest cube around what is visible, which leaves out fog and strays; scenery has the cube of the cameras.
     box: the box or inner cube, which then has shells only if `scenery` is true. cameras: None: those of the field, or
     some around it. Raises InvalidScene, MemoryLimit.
+
+    >>> import numpy as np
+    >>> from nerfbake import FunctionField, identify_function_part
+    >>> from nerfbake.scene.lattice_field import Activation
+    >>> from nerfbake.scene.network import Frequencies, HeadColour, Mlp, Network
+    >>> fog = Mlp((np.zeros((1, 3), np.float32),), (np.full(1, 9, np.float32),))
+    >>> grey = HeadColour(Mlp((np.zeros((3, 1), np.float32),), (np.zeros(3, np.float32),)), "none")
+    >>> network = Network(Frequencies(np.zeros(0)), fog, np.ones(1, np.float32), 0.0, Activation("relu"), grey)
+    >>> field = FunctionField(network, np.eye(3, 4), np.array([[-1.0] * 3, [1.0] * 3]))
+    >>> part = identify_function_part(field)
+    >>> part.shells, part.outside, bool((np.abs(part.box) < 1.1).all())
+    (1, 0.0, True)
     """
     field.require_usable()
     cameras = cameras or cameras_of(field)
