@@ -9,7 +9,6 @@ from nerfbake import io
 from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.files import AnySource, FolderTarget, as_source
 from nerfbake.jobs.function_voxels import FunctionVoxels
-from nerfbake.jobs.reading_options import ReadingOptions
 from nerfbake.jobs.readings import Reading, Size, lattice_loss
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.scene.lattice_field import LatticeField
@@ -38,7 +37,7 @@ def bake_lattice(
     Reads `source` and the cameras of the budget. Writes the folder `target`, or `target`.rejected if the budget is
     missed. Raises NerfbakeError.
 
-    resolution  of a PlenOctree, a lattice or splats, as in bake_octree(); None: its finest, at most 256
+    resolution  of all but octrees and volumes, as in bake_octree(); None: the finest of a PlenOctree, at most 256
     merged      store values once, as rows of float16
     functions   how a trained field becomes voxels
     sigma_min   and the other options are passed to build_lattice()
@@ -53,8 +52,9 @@ def bake_lattice(
     source = as_source(source)
     target = target if isinstance(target, FolderTarget) else FolderTarget(str(target))
     budget.require_folder(target, "LatticeField", (source.path, *budget.inputs))
-    reading = Reading(steps, source, functions=functions.with_others(ReadingOptions(), resolution))
+    reading = Reading(steps, source, functions=functions)
     reading.require(resolution=resolution)
+    reading.bake(resolution, sigma_min)
     reading.use_inner_cube()
     if resolution is None:
         resolution = _finest(reading.scene)

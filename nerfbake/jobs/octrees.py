@@ -124,8 +124,8 @@ def bake_volume(
     grids       some of density, Cd and sh, separated by commas, or index; None: the default of the format
     half        store values as float16
     codec       of the format: none or zip; None: the default of the format
-    resolution  of a PlenOctree, a lattice or splats, as in build_octree()
-    sigma_min   of a PlenOctree, a lattice or splats, as in build_octree()
+    resolution  of all but octrees and volumes, as in bake_octree()
+    sigma_min   of all but octrees and volumes, as in bake_octree()
     up          up axis of `target`; the up axis of `source` is z, or that of `options`
     options     how the scene becomes an octree. By default the axis of splats is up that their file states, else -y
     functions   how a trained field becomes voxels

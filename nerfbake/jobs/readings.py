@@ -50,9 +50,6 @@ TAKEN: dict[str, tuple[type, ...]] = {
     "opacity_min": (Splats,),
     "in_up": (Splats,),
     "epochs": (Splats,),
-    "scenery": (FunctionField,),
-    "world": (FunctionField,),
-    "seen_from": (FunctionField,),
 }
 _DEFAULTS = {"resample": "mean", "dtype": "float32"}  # of all other options it is None
 
@@ -127,12 +124,14 @@ class Reading:
         if isinstance(self.scene, Splats):
             self._options.require(budget, self.scene)
         given = {name for name, value in options.items() if value not in (None, _DEFAULTS.get(name))}
-        given |= self._options.given | self._functions.given
-        for name in (name for name in taken if name in given):
-            if not isinstance(self.scene, taken[name]):
+        given |= self._options.given
+        allowing = {name: kinds for name, kinds in taken.items() if name in given}
+        allowing |= dict.fromkeys(sorted(self._functions.given), (FunctionField,))
+        for name, kinds in allowing.items():
+            if not isinstance(self.scene, kinds):
                 option, *more = name.split(maxsplit=1)
                 text = " ".join([f"`{option}`", *more])
-                *others, last = (_NOUNS[kind] for kind in taken[name])
+                *others, last = (_NOUNS[kind] for kind in kinds)
                 allowed = f"{', '.join(others)} or {last}" if others else last
                 own = _NOUNS.get(type(self.scene), "triangles")
                 raise UsageError(f"{text} has no effect on {own}; allowed: with {allowed}")
@@ -144,7 +143,7 @@ class Reading:
 
     def use_inner_cube(self, *, keep: bool = False) -> None:
         """Use the inner cube of a scene with scenery alone, and print that. keep: keep the whole scene as `scenery`."""
-        self._bake()
+        self.bake()
         if not isinstance(self.scene, N3Tree) or self.scene.shells == 1:
             return
         with self._source.blamed(self._steps, "reading the inner cube"):
@@ -156,7 +155,7 @@ class Reading:
 
     def tell_scenery(self) -> None:
         """Print that the scenery is used, of a scene that has it."""
-        self._bake()
+        self.bake()
         if isinstance(self.scene, N3Tree) and self.scene.shells > 1:
             self._steps.say(f"{self._source.name}: uses all of the scene, also the scenery around the inner cube")
 
@@ -176,7 +175,7 @@ class Reading:
         """
         steps, source = self._steps, self._source
         if isinstance(self.scene, FunctionField):
-            self._bake(resolution, sigma_min)
+            self.bake(resolution, sigma_min)
             resolution = None  # the tree has it
         made: dict[str, Any] = {"resolution": resolution, "layout": layout, "dtype": dtype, "sigma_min": sigma_min}
         if self._options.box == "inner":
@@ -206,7 +205,7 @@ class Reading:
         """
         from nerfbake.stages.scene_to_field import build_field
 
-        self._bake()
+        self.bake()
         if isinstance(self.scene, LatticeField | Splats):
             self.octree()
         tell_unused(self._steps, self._source, self.scene)
@@ -219,12 +218,15 @@ class Reading:
 
     def tree(self) -> N3Tree:
         """Return the PlenOctree of a trained field, with its scenery. Prints what was baked, and the loss."""
-        self._bake()
+        self.bake()
         found: N3Tree = self.scene
         return found
 
-    def _bake(self, resolution: Size | None = None, sigma_min: float | None = None) -> None:
-        """Make a PlenOctree of a trained field, which then takes its place; `shown` stays the field itself."""
+    def bake(self, resolution: Size | None = None, sigma_min: float | None = None) -> None:
+        """Make a PlenOctree of a trained field, which then takes its place; `shown` stays the field itself.
+
+        Other scenes are left unchanged. Prints what was baked, and the loss. Raises NerfbakeError.
+        """
         if isinstance(self.scene, FunctionField):
             options = self._functions.with_others(self._options, resolution)
             self.scene, self.shown = bake_field(self._steps, self._source, self.scene, options, sigma_min)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
@@ -16,6 +17,7 @@ from nerfbake.jobs.reading_options import ReadingOptions
 from nerfbake.stages.function_to_part import cameras_of
 from tests.jobs.listener import Listener
 from tests.support.functions import TURN, soft_field, soft_file
+from tests.support.scenes import n3tree
 
 SOURCE = jobs.Source("soft.tar")
 SMALL = FunctionVoxels(resolution=16, basis="SH1")
@@ -151,3 +153,10 @@ def test_info_tells_the_network_and_the_box() -> None:
     assert facts["dialect"] == "nerf-pytorch"
     assert facts["world_box"] == [[-1.5] * 3, [1.5] * 3]
     assert (facts["contracted"], facts["cameras"], facts["background"]) == (False, None, None)
+
+
+def test_the_lattice_of_another_scene_may_have_a_resolution_along_each_axis() -> None:
+    save("tree.npz", n3tree([(0, (1, 0, 1))], invradius=np.array([1, 0.5, 0.5])))
+    assert jobs.bake_lattice("tree.npz", "lattice", resolution=(2, 4, 4), rounds=1).cells == (3, 5, 5)
+    with pytest.raises(UsageError, match="a trained field has as many cells along each axis"):
+        jobs.bake_lattice("soft.tar", "soft_lattice", resolution=(8, 16, 8), rounds=1)

@@ -165,7 +165,10 @@ READ: dict[str, Any] = {
     "basis": "SH4", "scale": 2.0, "in_up": "y", "epochs": 0, "opacity_min": 0.5, "box": "all",
 }  # fmt: skip
 
-FUNCTIONS: dict[str, Any] = {"scenery": False, "world": "trained", "seen_from": "transforms.json"}
+FUNCTIONS: dict[str, Any] = {
+    "resolution": 16, "box": (0.0, 0.0, 0.0, 1.0, 1.0, 1.0), "basis": "SH4", "scenery": False, "world": "trained",
+    "seen_from": "transforms.json",
+}  # fmt: skip
 
 
 @pytest.mark.usefixtures("fast")
