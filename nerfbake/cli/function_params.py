@@ -64,4 +64,4 @@ _OPTIONS = {
 def function_options(*without: str) -> Callable[[Command], Command]:
     """Add the options of trained fields, without these; pass the command `functions`, a FunctionVoxels."""
     chosen = [option for name, option in _OPTIONS.items() if name not in without]
-    return bundled("functions", "jobs.function_voxels.FunctionVoxels", *chosen)
+    return bundled("functions", "jobs.function_voxels.FunctionVoxels", *chosen, without=without)

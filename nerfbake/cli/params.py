@@ -9,7 +9,7 @@ import functools
 import math
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Literal
@@ -169,6 +169,7 @@ def bundled(
     kind: str,
     *options: Callable[[Command], Command],
     check: Callable[[Any], None] | None = None,
+    without: Collection[str] = (),
     **defaults: object,
 ) -> Callable[[Command], Command]:
     """Add these options; pass the command one value `name` instead of the values of the options.
@@ -177,6 +178,7 @@ def bundled(
               --help stays fast. Each of its fields takes the value of the option with the same name; a field without
               an option, or with one that is None, keeps its default
     check     is called with the value, and raises an error for options that have no effect or contradict each other
+    without   fields that keep their default, because the option of that name is another one of the command's
     defaults  of fields, in place of those of the class
     """
     module, _, class_name = kind.rpartition(".")
@@ -185,7 +187,8 @@ def bundled(
         @functools.wraps(function)
         def command(*args: object, **others: object) -> object:
             make = getattr(import_module(f"nerfbake.{module}"), class_name)
-            fields = {field: others.pop(field) for field in signature(make).parameters if field in others}
+            names = [field for field in signature(make).parameters if field in others and field not in without]
+            fields = {field: others.pop(field) for field in names}
             value = make(**defaults | {field: given for field, given in fields.items() if given is not None})
             if check is not None:
                 check(value)
