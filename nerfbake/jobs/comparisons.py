@@ -109,6 +109,8 @@ def compare_files(
     if first.path == second.path == io.STREAM:
         raise UsageError("both scenes are stdin, which can be read once; allowed: '-' for one of them")
     (scene, facts), (other, others) = (_read(steps, each, seen.world) for each in (first, second))
+    if seen.world != "original" and not any(isinstance(each, FunctionField) for each in (scene, other)):
+        raise UsageError("`world` has no effect on these scenes; allowed: with a trained field")
     scene, other = in_one_world(steps, [(first.name, scene), (second.name, other)])
     scene = renderable_scene(steps, scene, first.name)
     views = views_of(

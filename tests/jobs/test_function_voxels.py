@@ -145,6 +145,8 @@ def test_render_and_compare_take_the_field_itself(listener: Listener) -> None:
     assert found.found.means["a_b"]["psnr"] > 30
     with pytest.raises(UsageError, match="`world` has no effect on a PlenOctree"):
         jobs.render_views("soft.npz", "x.png", replace(shots, world="trained"))
+    with pytest.raises(UsageError, match="`world` has no effect on these scenes; allowed: with a trained field"):
+        jobs.compare_files("soft.npz", "soft.npz", seen=replace(seen, world="trained"))
 
 
 def test_info_tells_the_network_and_the_box() -> None:
