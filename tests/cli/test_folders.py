@@ -49,7 +49,7 @@ def test_every_command_that_writes_a_folder_is_in_this_list() -> None:
     assert found | {"mesh", "render"} == REPLACE.keys() | ADD
     words = re.compile(r"\b(FolderTarget|replacing_folder|save_files|save_folder|saving_folder)\b")
     jobs = {path.stem for path in (REPOSITORY / "nerfbake/jobs").glob("*.py") if words.search(path.read_text())}
-    assert jobs == {"atlases", "budgets", "files", "lattices", "meshes", "poses", "samples", "shaders"}
+    assert jobs == {"atlases", "budgets", "cameras", "files", "lattices", "meshes", "poses", "samples", "shaders"}
 
 
 @pytest.fixture

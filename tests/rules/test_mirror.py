@@ -18,6 +18,7 @@ ABOUT_ALL = {"conformance", "end_to_end", "fuzz", "rules", "support"}
 ABOUT_SEVERAL = {
     ".": {"citations", "contributing", "readme", "wheel"},
     "cli": {"folders", "help", "hostile_names", "jobs", "json_schemas", "pipes"},
+    "formats/camera": {"tool_traps", "tools", "tools_data", "tools_hostile"},
     "formats/mesh": {"blender", "khronos"},
     "formats/octree": {"formats"},
     "formats/wire": {"damaged_streams"},

@@ -37,7 +37,7 @@ _NAME = "mlp.json"
 FILES = re.compile(r"mlp\.json|feat1_\d+\.png|feat0_\d+\.(png|jpg)|mesh_\d+\.(obj|mtl)")
 
 
-class Mlp(NamedTuple):
+class MlpFile(NamedTuple):
     """w0 (6, h) and w1 (h, 3) float32. scene.stage1 checks their shapes and values."""
 
     w0: npt.NDArray[np.float32]
@@ -45,7 +45,7 @@ class Mlp(NamedTuple):
     cascades: int
 
 
-def decode_mlp(view: memoryview) -> Mlp:
+def decode_mlp(view: memoryview) -> MlpFile:
     """Parse mlp.json."""
     content = parse_object(view, _NAME)
     cascades = whole(content, "cascade", _NAME, default=1, low=1, high=MAX_CASCADES)
@@ -56,10 +56,10 @@ def decode_mlp(view: memoryview) -> Mlp:
         raise InvalidFile(
             Problem(_NAME, f"has {shorten(extra[0])}", "two layers without bias: net.0.weight and net.1.weight")
         )
-    return Mlp(_weights(content, "net.0.weight"), _weights(content, "net.1.weight"), cascades)
+    return MlpFile(_weights(content, "net.0.weight"), _weights(content, "net.1.weight"), cascades)
 
 
-def encode_mlp(mlp: Mlp) -> bytes:
+def encode_mlp(mlp: MlpFile) -> bytes:
     content = {
         "net.0.weight": mlp.w0.tolist(),
         "net.1.weight": mlp.w1.tolist(),
@@ -113,7 +113,7 @@ def encode(stage1: Stage1) -> Iterator[tuple[str, Iterable[bytes | memoryview]]]
     first = stage1.fields[0]
     if first.channels != 3 or first.middle or first.biases:
         raise InvalidScene(Problem("the MLP", f"is {first.mlp_text}", "two layers without biases, of 3 features"))
-    yield "mlp.json", [encode_mlp(Mlp(first.w0, first.w1, len(stage1.fields)))]
+    yield "mlp.json", [encode_mlp(MlpFile(first.w0, first.w1, len(stage1.fields)))]
     for cascade, field in enumerate(stage1.fields):
         yield f"feat1_{cascade}.png", [encode_texture(field.features)]
         yield from encode_surface(stage1.meshes[cascade], stage1.files, cascade)
