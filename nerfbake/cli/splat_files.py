@@ -45,4 +45,5 @@ splat_file_options = bundled(
         help="Version of a Niantic file. 3: for older programs.  [default: 4]",
     ),
     click.option("--small", is_flag=True, help="Store SH of splats in 4 and 5 instead of 8 bits (.spz)."),
+    without=("half",),  # of `convert`, which is for volumes, too
 )

@@ -157,6 +157,16 @@ def test_a_nvdb_of_many_grids_says_how_to_write_each(tmp_path: Path, capsys: pyt
     assert "--layout has no effect" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["half.nvdb", "half.usda"])
+def test_half_is_for_volumes_and_for_splats(name: str, tmp_path: Path) -> None:
+    save(tmp_path / "smoke.vdb", volume(tree([[0, 0, 0]])))
+    save(tmp_path / "a.ply", splats(3))
+    source = "smoke.vdb" if name == "half.nvdb" else "a.ply"
+    assert run(["convert", str(tmp_path / source), str(tmp_path / name), "--half"]) == 0
+    assert run(["convert", str(tmp_path / source), str(tmp_path / f"full_{name}")]) == 0
+    assert (tmp_path / name).read_bytes() != (tmp_path / f"full_{name}").read_bytes()
+
+
 def test_a_batch_cannot_know_the_files_of_all_grids() -> None:
     with pytest.raises(click.UsageError, match="--grid all writes files whose names depend on the contents of IN"):
         declared(convert, ["smoke.vdb", "smoke.nvdb", "--grid", "all"])
