@@ -75,9 +75,10 @@ def convert_file(
         if layout or no_child or codec or choice.grids:
             raise UsageError("splats have no child slots, grids and codecs; allowed: `in_up` and the options of splats")
         _refuse_voxels("splats", functions, budget)
-        convert = _convert_stage if catalog.is_ending(target.ending, "Cameras") else convert_splats
         splats = replace(splats, half=half or splats.half)
-        return convert(source, target, in_up=choice.in_up, choice=splats, steps=steps)
+        if catalog.is_ending(target.ending, "Cameras"):
+            return _convert_stage(steps, source, target, in_up=choice.in_up, choice=splats)
+        return convert_splats(source, target, in_up=choice.in_up, choice=splats, steps=steps)
     if splats != SplatChoice():
         given = [name for name, value in vars(splats).items() if value]
         allowed = "`nerfbake compress` for octrees" if given == ["small"] else "OUT of splats"
@@ -168,7 +169,7 @@ def convert_splats(
 
 
 def _convert_stage(
-    source: Source, target: Target, *, in_up: str | None, choice: SplatChoice, steps: Steps
+    steps: Steps, source: Source, target: Target, *, in_up: str | None, choice: SplatChoice
 ) -> Splats | Cameras:
     """Write the splats or the cameras of `source` in a format that has both."""
     from nerfbake.jobs.cameras import write_cameras
