@@ -51,7 +51,7 @@ def test_options_that_do_not_fit_are_told(capsys: pytest.CaptureFixture[str]) ->
         (["a.ply", "b.usdz", "--grid", "density"], "splats have no child slots, grids and codecs"),
         (
             ["cameras.json", "b.usda", "--half"],
-            "`--half` is for splats, but cameras.json holds cameras; allowed: `--in-up`",
+            "--half is for splats, but cameras.json holds cameras; allowed: --in-up",
         ),
         (["cameras.json", "b.usda", "--in-up", "x"], "option 'up' of usda is 'x'; allowed: z, y"),
     ):

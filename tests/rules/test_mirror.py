@@ -17,11 +17,13 @@ ABOUT_ALL = {"conformance", "end_to_end", "fuzz", "rules", "support"}
 # Test files about several modules, commands, formats or shaders, or about what is no module. Add none without a reason.
 ABOUT_SEVERAL = {
     ".": {"citations", "contributing", "readme", "wheel"},
-    "cli": {"folders", "help", "hostile_names", "jobs", "json_schemas", "pipes"},
+    "cli": {"folders", "help", "hostile_names", "jobs", "json_schemas", "pipes", "usd"},
     "formats/camera": {"tool_traps", "tools", "tools_data", "tools_hostile"},
     "formats/mesh": {"blender", "khronos"},
     "formats/octree": {"formats"},
+    "formats/volume": {"usd"},
     "formats/wire": {"damaged_streams"},
+    "formats/wire/usd": {"damage", "writers"},
     "jobs": {"examples", "scenery"},
     "shaders": {"conformance", "scripts", "three", "together"},
 }

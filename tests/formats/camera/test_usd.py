@@ -14,7 +14,7 @@ from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.camera import usd, usda, usdc, usdz
 from nerfbake.formats.splat.usd import splat_stage
 from nerfbake.formats.wire.usd.text import encode_text
-from nerfbake.jobs import convert_file
+from nerfbake.jobs import convert_cameras, convert_file
 from nerfbake.scene.camera import Camera, Cameras, look_at
 from nerfbake.scene.lens import Lens
 from nerfbake.scene.splats import Splats
@@ -73,7 +73,7 @@ def test_cameras_are_read_back(module: object, tmp_path: Path) -> None:
 def test_a_stage_is_a_source_of_cameras_and_a_capture_becomes_one(tmp_path: Path) -> None:
     save(tmp_path / "transforms.json", CAMERAS)
     convert_file(tmp_path / "transforms.json", tmp_path / "a.usda")
-    convert_file(tmp_path / "a.usda", tmp_path / "b.json")
+    convert_cameras(tmp_path / "a.usda", tmp_path / "b.json")
     assert load(tmp_path / "b.json", Cameras).names == CAMERAS.names
 
 

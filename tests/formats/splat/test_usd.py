@@ -249,8 +249,11 @@ def test_units_axes_and_transforms_are_applied() -> None:
     assert np.allclose(found.scales, 0.02)
     found = read(layer(prim(place), up="Z"))
     assert np.allclose(found.means, [[100, 2, 4], [106, 8, 10]])
+    found = read(layer(prim(place.replace("(2, 2, 2)", "(2, 2, 3)"))))  # stretches, as in a .glb
+    assert np.allclose(found.means, [[100, -2, -6], [106, -8, -15]])
+    matrix = "matrix4d xformOp:transform = ((1, 0, 0, 0), (1, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))\n"
     with pytest.raises(InvalidScene, match="the transform of the splats shears"):
-        read(layer(prim(place.replace("(2, 2, 2)", "(2, 2, 3)"))))
+        read(layer(prim(matrix + 'uniform token[] xformOpOrder = ["xformOp:transform"]')))
 
 
 def test_several_prims_are_joined_and_meshes_named() -> None:
