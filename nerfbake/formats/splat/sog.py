@@ -47,6 +47,7 @@ Bytes = npt.NDArray[np.uint8]
 META, LOD = "meta.json", "lod-meta.json"
 MOST_DEGREE = 3
 KEEPS_ORIGIN = False
+KEEPS_UP = False
 _WIDTHS = (0, 3, 8, 15)  # pixels of an entry of the palette, by degree
 _A_ROW = 64  # entries of the palette
 _PALETTE = 1 << 16  # entries at most: a label has 16 bits
