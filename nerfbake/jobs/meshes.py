@@ -227,11 +227,10 @@ def bake_mesh(
     """Turn a radiance field into a textured mesh and return the quality of its file. This is `nerfbake mesh`.
 
     Reads `source`, a PlenOctree, an octree, a volume with colours, a lattice or splats, of a scene with scenery the
-    inner cube, and the photographs of `pictures`. Without photographs, -y of splats becomes z, as in view_file(). A
-    stage-1 folder, or MobileNeRF's, is a mesh already: its texture becomes the mean colour over all directions, as
-    colour_meshes() makes it, measured on pictures of `source`.
-    Writes `target`: a file with one texture or with colours at the vertices, depending on its format, or a folder as
-    nerf2mesh's stage 1, with the highlights that `nerfbake atlas` bakes. Raises NerfbakeError.
+    inner cube, and the photographs of `pictures`. Without photographs, -y of splats becomes z, as in view_file(). The
+    meshes of nerf2mesh and MobileNeRF stay: colour_meshes() makes their textures. Writes `target`: a file with one
+    texture or with colours at the vertices, depending on its format, or a folder as nerf2mesh's stage 1, with the
+    highlights that `nerfbake atlas` bakes. Raises NerfbakeError.
 
     functions  how a trained field becomes voxels
     min_psnr  lowest allowed mean PSNR on the held-out views, in dB; below it the output becomes `target`.rejected and
@@ -251,14 +250,14 @@ def bake_mesh(
     else:
         Budget(min_psnr=min_psnr).require(place)
     light = None if file.environment is None else _read_light(steps, Source(file.environment))
-    standing = upright_without(pictures.views)
-    reading = Reading(steps, source, *FIELDS, Stage1, options=standing, functions=functions)
+    kinds = *FIELDS, Stage1
+    reading = Reading(steps, source, *kinds, options=upright_without(pictures.views), functions=functions)
     reading.require()
     if isinstance(reading.scene, Stage1):
         if isinstance(place, FolderTarget) or pictures.views or light is not None or options != MeshOptions():
             raise UsageError(
                 f"{source.name} is a mesh already, which keeps its triangles and gets a texture of mean colours; "
-                "allowed: an OUT with an extension, `up`, `lit`, `image` and `min_psnr`"
+                "allowed: an OUT with an extension, `in_up`, `lit`, `image` and `min_psnr`"
             )
         return _flat(steps, source, place, reading.scene, pictures.edge, format_options, min_psnr, report)
     reading.use_inner_cube()
@@ -316,16 +315,14 @@ def _flat(
         scene = colour_meshes(stage1)
     if not io.format_for(place.path, "Meshes", to=place.to).choices("image"):
         if any(mesh.opaque is not None for mesh in scene.meshes):
-            raise UsageError(
-                f"{place.path} has no texture for the holes of {source.name}; allowed: a format with textures"
-            )
+            holes = f"{place.path} has no texture for the holes of {source.name}"
+            raise UsageError(f"{holes}; allowed: a format with textures")
         scene = Meshes(tuple(colour_vertices(mesh) for mesh in scene.meshes))
     worked = clock.worked
     reported = reporting(lambda: report(found) if report is not None else None)
     with reported, place.writing(steps, scene, **format_options) as written:
-        loaded, quality = _judged(
-            steps, place, written.path, held_out, f"{FRAMES} pictures of {source.name}", scene, format_options
-        )
+        judged_on = f"{FRAMES} pictures of {source.name}"
+        loaded, quality = _judged(steps, place, written.path, held_out, judged_on, scene, format_options)
         counts = tuple(len(mesh.faces) for mesh in scene.meshes)
         found = MeshResult(place.path, str(loaded), written.size, counts, quality, worked)
         _tell_quality(steps, found, min_psnr)

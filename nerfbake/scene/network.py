@@ -405,7 +405,7 @@ def _activated(raw: Floats, kind: str) -> Floats:
 
 
 def _shifted(directions: Points) -> Singles:
-    """(16, m): nerfstudio's polynomials at (d + 1) / 2. Source: docs/fields.md, "nerfacto".
+    """(16, m): nerfstudio's polynomials at (d + 1) / 2. Source: docs/fields.md, "Programs".
 
     (d + 1) / 2 has no unit length, so the polynomials of degree 3 are not spherical harmonics.
     """

@@ -15,10 +15,12 @@ from nerfbake.cli import main
 from nerfbake.cli.main import run
 from nerfbake.cli.paths import Stage1AndFolder, Writes
 from nerfbake.errors import OutputError
+from nerfbake.jobs import bake_mesh, bake_splats, refit_file
 from nerfbake.jobs.files import FolderTarget
 from nerfbake.jobs.shaders import CONTENTS
 from tests.conftest import REPOSITORY
 
+LOADED = bake_mesh, bake_splats, refit_file  # before EDGE changes, the default of their options
 # Each command that replaces a folder as a whole, with IN, OUT and options that make it quick.
 REPLACE = {
     "atlas": "atlas {stage1} {out} --clusters 4 --map-size 8 --directions 8",

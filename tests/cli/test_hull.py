@@ -60,7 +60,11 @@ def test_a_hull_goes_through_pipes(shell: Shell, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "code", "said"),
     [
-        ("hull a.npz a.stl", 2, "'a.stl' has no file extension for a mesh; allowed: .obj, .glb, .ply, or --to"),
+        (
+            "hull a.npz a.stl",
+            2,
+            "'a.stl' has no file extension for a mesh; allowed: .obj, .glb, .ply, .usda, .usdc, .usdz, or --to",
+        ),
         ("hull a.npz a.obj --in-up z", 2, "--in-up has no effect on .obj; allowed: with .glb"),
         ("hull a.npz a.glb --level 13", 2, "'--level'"),
         ("hull empty.npz a.glb", 1, "empty.npz: the field has no leaf with a density; allowed: at least one"),

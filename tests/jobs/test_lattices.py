@@ -138,7 +138,7 @@ def test_what_only_one_of_the_two_takes_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="`resample` has no effect on a lattice"):
         jobs.bake_octree("ckpt.npz", "e.svo.npz", resample="nearest")
     jobs.write_sample_n3tree(tmp_path / "tree.npz", resolution=8)
-    with pytest.raises(UsageError, match="`basis` has no effect on a PlenOctree; allowed: with a lattice or splats"):
+    with pytest.raises(UsageError, match="`basis` has no effect on a PlenOctree; allowed: with a lattice, splats"):
         jobs.bake_octree(tmp_path / "tree.npz", "e.svo.npz", options=jobs.ReadingOptions(basis="SH4"))
     with pytest.raises(InvalidFile, match=r"holds a lattice field \(`nerfbake svo` makes an octree of it\)"):
         jobs.bake_lod("ckpt.npz", "e.svo.npz", level=1)

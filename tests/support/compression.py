@@ -6,6 +6,9 @@ import os
 
 import pytest
 
+from nerfbake.jobs import bake_mesh, bake_splats, refit_file
+
+LOADED = bake_mesh, bake_splats, refit_file  # before EDGE changes, the default of their options
 SWITCH = "NERFBAKE_TEST_FEWER_RAYS"
 EDGES = {
     "nerfbake.jobs.budgets.EDGE": 64,

@@ -15,7 +15,7 @@ The factor between levels is not stored: it is exp(ln(2048 A / base) / (levels -
 trained box is 1/2 - A/2 to 1/2 + A/2. A value of the density grid is the optical thickness of one step; the cell is
 occupied if it exceeds min(0.01, the mean of the first cascade's positive values). -1: no training camera saw the cell.
 
-Source: docs/fields.md, "instant-ngp"; testbed.cu, testbed_nerf.cu, nerf_network.h.
+Source: docs/fields.md, "Programs"; testbed.cu, testbed_nerf.cu, nerf_network.h.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
     field.appearance_ambedding.embedding.weight  (pictures, A), if there is one; its mean is used
 
 The features of the scales are concatenated, or added. Positions outside of the box have the values of its faces, which
-are empty space here. Source: docs/fields.md, "K-Planes"; kplanes_field.py.
+are empty space here. Source: docs/fields.md, "Programs"; kplanes_field.py.
 """
 
 from __future__ import annotations

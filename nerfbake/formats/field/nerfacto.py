@@ -10,7 +10,7 @@
 All keys start with `field.`. torch's table (L 2^T, F) is level-major and every level is hashed; its layers have biases;
 its code of the direction are polynomials at (d + 1)/2. tcnn.py describes the other layout, with spherical harmonics.
 Output 0 of the first network is the density. The second one takes 16 inputs of the direction, 15 features and the
-appearance, whose mean over the pictures is used (nerfacto) or zeros (instant-ngp). Source: docs/fields.md, "nerfacto".
+appearance, whose mean over the pictures is used (nerfacto) or zeros (instant-ngp). Source: docs/fields.md, "Programs".
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@
                             (until 2022 `camera_distortion`): k1, k2, p1, p2, or is_fisheye and k1 to k4, or {}
 
 A point p of transforms.json is trained at q = p scale + offset with (x, y, z) of q being its y, z, x, unless
-from_mitsuba is true. Source: docs/fields.md, "instant-ngp"; json_binding.h and nerf_loader.h.
+from_mitsuba is true. Source: docs/fields.md, "Programs"; json_binding.h and nerf_loader.h.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
                                  applied_scale a
 
 `transform` starts at the world before A, and `scale` contains a. Cameras are in the world after A, so that for them the
-trained coordinates are s/a transform A^-1 [p; 1]. Source: docs/fields.md, "nerfstudio"; nerfstudio_dataparser.py.
+trained coordinates are s/a transform A^-1 [p; 1]. Source: docs/fields.md, "Programs"; nerfstudio_dataparser.py.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ Level l of a grid has s = 2^(l log2 b) base - 1 in float32, and ceil(s) + 1 node
 cube is at x s + 1/2, so that x = 1 is one node past a dense level, whose rows wrap around. A level has as many rows as
 nodes, rounded up to a multiple of 8, but 2^T at most.
 
-Source: docs/fields.md, "tiny-cuda-nn"; its grid.h, common_device.h, identity.h and fully_fused_mlp.cu.
+Source: docs/fields.md, "Programs"; its grid.h, common_device.h, identity.h and fully_fused_mlp.cu.
 """
 
 from __future__ import annotations

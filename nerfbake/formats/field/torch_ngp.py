@@ -13,7 +13,7 @@ level's s = 2^(l log2 b) 16 - 1 asks for, and log2 b = log2(2048 bound / 16) / (
 training with --tcnn, encoder.params, sigma_net.params and color_net.params are as tcnn.py describes them.
 
 A camera at p of transforms.json is trained at 0.33 (y, z, x), unless another --scale or --offset was given, which no
-file holds. Source: docs/fields.md, "torch-ngp"; gridencoder.cu, nerf/network.py, nerf/provider.py.
+file holds. Source: docs/fields.md, "Programs"; gridencoder.cu, nerf/network.py, nerf/provider.py.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _TCNN = tcnn.Grid(16, 2, 19, _BASE, np.float32(0))  # with --tcnn; its growth de
 _WIDTH = 64
 _REFUSED = {
     "deform_net.0.weight": "is a scene that changes with time (D-NeRF)",
-    "sigma_net.weights": "was trained with --ff, whose networks are flat arrays",
+    "sigma_net.weights": "was trained with `--ff`, whose networks are flat arrays",
 }
 
 
@@ -58,7 +58,7 @@ def decode(view: memoryview) -> FunctionField:
     model = TorchModel(view, "model", "model", "torch-ngp")
     for key, what in _REFUSED.items():
         if key in model.state:
-            raise InvalidFile(Problem("model", what, "a static scene that was trained without --ff"))
+            raise InvalidFile(Problem("model", what, "a static scene that was trained without `--ff`"))
     bound = _bound(model)
     cube = bound * np.array([[-1.0] * 3, [1.0] * 3])
     notes = [f"the scale of the cameras is not in the file: torch-ngp's default {_SCALE} is assumed"]

@@ -18,7 +18,7 @@ PyYAML's parser splits the text into events. It runs nothing, and does not recur
 which call what a file names, are not used. An alias is the same object as its anchor; everything that a walk through
 the values would meet is counted, so that aliases of aliases cannot make a small file large.
 
-Source: https://yaml.org/spec/1.1; PyYAML's lib/yaml/resolver.py and constructor.py.
+Source: YAML 1.1; PyYAML's lib/yaml/resolver.py and constructor.py.
 """
 
 from __future__ import annotations

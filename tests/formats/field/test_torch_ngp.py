@@ -97,7 +97,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         ),
         "encoder.params has shape (1,); allowed: 12,",
     ),
-    "--ff": (_with(sigma_net__weights=np.zeros(1, np.float32)), "was trained with --ff"),
+    "--ff": (_with(sigma_net__weights=np.zeros(1, np.float32)), "was trained with `--ff`"),
     "a flat box": (_with(aabb_train=np.zeros(6, np.float32)), "aabb_train is 0, 0, 0, 0, 0, 0"),
     "a box without end": (_with(aabb_train=np.full(6, np.inf, np.float32)), "aabb_train is inf"),
     "offsets that descend": (_with(encoder__offsets=np.array([0, 8, 4, 9], np.int32)), "are 0, 8, 4, 9"),
