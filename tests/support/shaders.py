@@ -234,6 +234,8 @@ class Hlsl:
         """The SPIR-V of source code with a main, and the group and binding of each name. Results are cached."""
         if code not in self.made:
             (self.folder / "code.hlsl").write_text(code)
+            made = "harmonics.hlsl"  # of the GLSL file: the package has none
+            (self.folder / made).write_text(shader_text(f"hlsl/{made}"))
             command = [
                 "glslangValidator",
                 "-D",
@@ -246,7 +248,7 @@ class Hlsl:
                 "-q",
                 "-o",
                 "code.spv",
-                f"-I{HOME / 'hlsl'}",
+                "-I.",
             ]
             done = subprocess.run(
                 [*command, f"-I{HOME / 'hlsl'}", "code.hlsl"],
