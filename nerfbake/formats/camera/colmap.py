@@ -1,4 +1,4 @@
-"""Read COLMAP models: `cameras` with the intrinsics, `images` with the poses, both as .bin or as .txt.
+"""Read COLMAP models: `cameras` with the intrinsics, `images` with the poses, both as .bin or as .txt, and `points3D`.
 
 cameras.bin   u64 count, each: u32 id, i32 model, u64 width, u64 height, f64 parameters (their number: MODELS)
 images.bin    u64 count, each: u32 id, f64 qw qx qy qz tx ty tz, u32 camera id, name, NUL, u64 points, 24 bytes a point
@@ -27,6 +27,14 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder, inside_of, names_of, room_for
+from nerfbake.formats.camera.colmap_points import (
+    PLACE,
+    Places,
+    decode_binary_points,
+    decode_text_points,
+    sparse_points,
+    text_places,
+)
 from nerfbake.formats.camera.colmap_writer import text_model
 from nerfbake.formats.camera.turns import pose_shifted, turn_of_quaternion
 from nerfbake.kernels.soundness import MAX_EDGE, plural
@@ -69,7 +77,8 @@ class ColmapCamera(NamedTuple):
 class ColmapImage(NamedTuple):
     """COLMAP's image: the pose of one picture, world to camera.
 
-    turn: rotation as a quaternion (w, x, y, z); shift: translation; model: id of the ColmapCamera
+    turn: rotation as a quaternion (w, x, y, z); shift: translation; model: id of the ColmapCamera; places: where it
+    shows points
     """
 
     number: int
@@ -77,12 +86,12 @@ class ColmapImage(NamedTuple):
     shift: tuple[float, ...]
     model: int
     name: str
+    places: Places
 
 
 _COUNT = struct.Struct("<Q")
 _MODEL = struct.Struct("<IiQQ")
 _SHOT = struct.Struct("<I7dI")
-_POINT = 24  # bytes
 _MAX_NAME = 4096
 
 
@@ -101,7 +110,7 @@ def decode_binary_models(view: memoryview, name: str) -> dict[int, ColmapCamera]
 
 
 def decode_binary_shots(view: memoryview, name: str) -> list[ColmapImage]:
-    """Parse the images; points are skipped."""
+    """Parse the images. The places of points remain in `view`."""
     count, at = _count(view, name)
     shots = []
     for _ in range(count):
@@ -113,10 +122,12 @@ def decode_binary_shots(view: memoryview, name: str) -> list[ColmapImage]:
             )
         picture = bytes(view[at : at + end]).decode(errors="replace")
         (points,), at = _take(view, at + end + 1, _COUNT, name)
-        at += _POINT * points
-        shots.append(ColmapImage(number, tuple(pose[:4]), tuple(pose[4:]), model, picture))
-    if at > len(view):
-        raise InvalidFile(Problem(name, f"ends after {len(view):,} bytes", f"{at:,} or more, according to its counts"))
+        start, at = at, at + PLACE.itemsize * points
+        if at > len(view):
+            allowed = f"{at:,} or more, according to its counts"
+            raise InvalidFile(Problem(name, f"ends after {len(view):,} bytes", allowed))
+        places = np.frombuffer(view[start:at], PLACE)
+        shots.append(ColmapImage(number, tuple(pose[:4]), tuple(pose[4:]), model, picture, places))
     return shots
 
 
@@ -156,28 +167,34 @@ def decode_text_models(view: memoryview, name: str) -> dict[int, ColmapCamera]:
     return _by_id(models, name)
 
 
-def decode_text_shots(view: memoryview, name: str) -> list[ColmapImage]:
-    """Parse the images; the lines of points are skipped."""
+def decode_text_shots(view: memoryview, name: str, *, points: bool) -> list[ColmapImage]:
+    """Parse the images. points: also their lines of points, which are else skipped."""
     shots = []
-    for number, line in _lines(view, name, points=True):
+    lines_of_points: dict[int, memoryview] = {}
+    for number, line in _lines(view, name, points=lines_of_points):
         parts = _parts(line, 10, number, name, splits=9)  # a name may have spaces
         numbers = _numbers(parts[:9], number, name)
         key, model = (_whole(value, number, name) for value in (numbers[0], numbers[8]))
-        shots.append(ColmapImage(key, numbers[1:5], numbers[5:8], model, parts[9]))
-    return shots
+        shots.append(ColmapImage(key, numbers[1:5], numbers[5:8], model, parts[9], np.zeros(0, PLACE)))
+    if not points:
+        return shots
+    seen = [*lines_of_points.items(), (0, memoryview(b""))]  # a file may end without its last line
+    placed = (text_places(bytes(line), number, name) for number, line in seen)
+    return [shot._replace(places=places) for shot, places in zip(shots, placed, strict=False)]
 
 
-def _lines(view: memoryview, name: str, *, points: bool = False) -> Iterator[tuple[int, str]]:
+def _lines(view: memoryview, name: str, *, points: dict[int, memoryview] | None = None) -> Iterator[tuple[int, str]]:
     """Yield (line number, text) of all lines that are neither empty nor comments.
 
-    points: a line of points follows each of them, and is skipped.
+    points: a line of points follows each of them; these are added here, by their number, and not yielded.
     """
     view = view[3:] if bytes(view[:3]) == BOM_UTF8 else view
     found, skip = 0, False
     for number, match in enumerate(_LINE.finditer(view), start=1):
         start, end = match.span()
-        if skip:
+        if skip and points is not None:
             _require_points(view[start:end], number, name)
+            points[number] = view[start:end]
             skip = False
             continue
         line = bytes(view[start : min(end, start + _MAX_LINE)]).strip()
@@ -188,7 +205,7 @@ def _lines(view: memoryview, name: str, *, points: bool = False) -> Iterator[tup
             what = f"has {end - start:,} bytes" if found <= MAX_FRAMES else f"is entry {found:,}"
             raise InvalidFile(Problem(f"{name}: line {number:,}", what, f"{_MAX_LINE:,} bytes, {MAX_FRAMES:,} entries"))
         yield number, line.decode(errors="replace")
-        skip = points
+        skip = points is not None
 
 
 def _require_points(line: memoryview, number: int, name: str) -> None:
@@ -300,13 +317,16 @@ def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     if not found or not _complete(files, *found[0]):
         raise InvalidFile(Problem("the model", "is incomplete", "cameras and images, both .bin or both .txt"))
     folder, kind = found[0] if len(found) == 1 else max(found, key=lambda each: _count_images(files, *each))
-    cameras, images = f"{folder}cameras.{kind}", f"{folder}images.{kind}"
+    cameras, images, points = (f"{folder}{name}.{kind}" for name in ("cameras", "images", "points3D"))
+    positions = {}
+    if points in files:
+        positions = (decode_binary_points if kind == "bin" else decode_text_points)(files[points], points)
     if kind == "bin":
         models = decode_binary_models(files[cameras], cameras)
         shots = decode_binary_shots(files[images], images)
     else:
         models = decode_text_models(files[cameras], cameras)
-        shots = decode_text_shots(files[images], images)
+        shots = decode_text_shots(files[images], images, points=bool(positions))
     shots = sorted(shots, key=lambda shot: shot.name)
     room_for(len(shots))
     _require_once("image id", (shot.number for shot in shots), images)
@@ -318,7 +338,8 @@ def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     if len(found) > 1 or folder not in _FIRST:
         which = f"the largest of {len(found):,} COLMAP models" if len(found) > 1 else "the only COLMAP model"
         notes = (f"using {folder[:-1]}, {which}, with {plural(len(shots), 'image')}",)
-    return Cameras(placed, "COLMAP", images, notes)
+    seen = sparse_points(positions, [shot.places for shot in shots], images)
+    return Cameras(placed, "COLMAP", images, notes, points=seen)
 
 
 def _found(files: CaptureFolder) -> list[tuple[str, str]]:
@@ -340,7 +361,7 @@ def _count_images(files: CaptureFolder, folder: str, kind: str) -> int:
     name = f"{folder}images.{kind}"
     if kind == "bin":
         return int.from_bytes(files.head(name, _COUNT.size), "little")
-    return sum(1 for _ in _lines(files[name], name, points=True))
+    return sum(1 for _ in _lines(files[name], name, points={}))
 
 
 def _camera(shot: ColmapImage, name: str, models: dict[int, ColmapCamera]) -> Camera:

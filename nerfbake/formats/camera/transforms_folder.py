@@ -1,20 +1,28 @@
 """Read folders with a transforms.json, or with one for each of NeRF-Synthetic's splits. The first of _NAMES is read.
 
-The test split comes before the training split, because pictures are evaluated on held-out views.
+The test split comes before the training split, because pictures are evaluated on held-out views. transforms.json has no
+sparse points. If the folder also has the COLMAP model that its poses come from, the points are those of the model.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 
-from nerfbake.formats.camera import transforms
+import numpy as np
+
+from nerfbake.errors import InvalidFile, InvalidScene
+from nerfbake.formats.camera import colmap, transforms
 from nerfbake.formats.camera.capture import CaptureFolder
+from nerfbake.kernels.maths.affine import compose, inverse, rotate
 from nerfbake.scene.camera import Cameras
+from nerfbake.scene.sparse_points import SparsePoints
 
 _NAMES = ("transforms.json", "transforms_test.json", "transforms_val.json", "transforms_train.json")
 FILES = re.compile(re.escape(_NAMES[0]))
+_SAME = 1e-4  # largest difference of two poses that are the same, relative to the distances of the cameras
 
 
 def recognise(files: CaptureFolder) -> bool:
@@ -29,7 +37,35 @@ def split(files: CaptureFolder) -> tuple[str, str] | None:
 
 def decode(files: CaptureFolder, *, member: str = "") -> Cameras:
     name = next(name for name in (member, *_NAMES) if name in files)
-    return replace(transforms.decode(files[name], beside=files), source=name)
+    cameras = replace(transforms.decode(files[name], beside=files), source=name)
+    points = None
+    if colmap.recognise(files):
+        with suppress(InvalidFile, InvalidScene):  # the poses do not need it
+            points = _points_of(colmap.decode(files), cameras)
+    return replace(cameras, points=points)
+
+
+def _points_of(model: Cameras, cameras: Cameras) -> SparsePoints | None:
+    """Return the points of a COLMAP model in the world of cameras; None if these have other poses.
+
+    The worlds may differ by a rotation and a translation, such as nerfstudio's applied_transform.
+    """
+    places = {camera.picture: i for i, camera in enumerate(model.cameras) if camera.picture}
+    pairs = [(places[camera.picture], i) for i, camera in enumerate(cameras.cameras) if camera.picture in places]
+    if model.points is None or len(pairs) < 2:
+        return None
+    found = np.stack([model.cameras[i].pose[:3] for i, _ in pairs])
+    wanted = np.stack([cameras.cameras[i].pose[:3] for _, i in pairs])
+    turn = compose(wanted[0, :, :3], inverse(found[0, :, :3]))
+    shift = wanted[0, :, 3] - rotate(found[0, :, 3], turn)
+    moved = np.stack(
+        [np.column_stack([compose(turn, each[:, :3]), rotate(each[:, 3], turn) + shift]) for each in found]
+    )
+    spread = np.abs(wanted[:, :, 3] - wanted[0, :, 3]).max()
+    if not (np.abs(moved - wanted) <= _SAME * np.array([1, 1, 1, spread])).all():
+        return None
+    positions = rotate(model.points.positions, turn) + shift
+    return replace(model.points, positions=positions).seen_by(dict(pairs))
 
 
 def encode(cameras: Cameras) -> Iterator[tuple[str, Iterable[bytes]]]:
