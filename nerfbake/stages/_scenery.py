@@ -11,6 +11,7 @@ from nerfbake.kernels.maths.affine import rotate
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid, lattice_frame
+from nerfbake.stages._scenery_points import reach_of
 
 SHELLS = 6  # with the inner cube: the outermost one is 32 times as wide as the inner cube
 FOG = 0.01  # density per cell width
@@ -23,9 +24,10 @@ _CELL_BYTES = 40
 def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> tuple[Points, BrickCells]:
     """Return the inner cube (2, 3), and the cells that a fit starts from: fog and a wall at its end.
 
-    Fog fills all cells that three views see (all views, if there are fewer), except close to a camera. The wall is at
-    the end of the outermost shell, where one view sees it. box: the inner cube; None: around the point that the cameras
-    look at. Raises InvalidScene, MemoryLimit.
+    Fog fills all cells that three views see (all views, if there are fewer), except close to a camera. If the sparse
+    points of a picture are about equally far, it fills what this picture alone sees at their distance, and nothing
+    before them. The wall is at the end of the outermost shell, where one view sees it. box: the inner cube; None:
+    around the point that the cameras look at. Raises InvalidScene, MemoryLimit.
     """
     box = inner_cube_of(views.cameras) if box is None else box
     solid = _visible(views, box, resolution)
@@ -77,13 +79,23 @@ def _visible(views: Views, box: Points, R: int) -> Bits:
     low, size, width = lattice_frame(box, R, SHELLS)
     steps = np.stack(np.meshgrid(*[np.arange(R)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5
     found, clear, least = [], _CLEAR * focus_distance(views, box), min(_LEAST, len(views.pictures))
+    reach = reach_of(views.cameras)
     for shell in range(SHELLS):
         centre, counts = low[shell] + steps * size[shell], np.zeros(R**3, np.int32)
-        for camera in views.cameras.cameras:
-            counts += sees(camera, centre, width[shell])
+        # Where the distance is known, one view is enough. Elsewhere, views whose distance is unknown count.
+        near, wide = np.zeros(R**3, bool), np.zeros(R**3, bool)
+        for number, camera in enumerate(views.cameras.cameras):
+            seen = sees(camera, centre, width[shell])
+            counts += seen
             away = np.square(centre - camera.pose[:3, 3]).sum(axis=1)
             counts[away < clear * clear] = -len(views.pictures)
-        solid = (counts >= least).reshape(R, R, R)
+            if reach.near[number] > 0:
+                away = np.sqrt(away)
+                counts[seen & (away + width[shell] < reach.near[number])] = -len(views.pictures)
+                near |= seen & (away - width[shell] < reach.far[number])
+            else:
+                wide |= seen
+        solid = ((near & (counts >= 1)) | (wide & (counts >= least))).reshape(R, R, R)
         if shell:
             solid[R // 4 : R - R // 4, R // 4 : R - R // 4, R // 4 : R - R // 4] = False
         if shell == SHELLS - 1:  # the wall also shows what only one view sees
