@@ -1,4 +1,4 @@
-"""`nerfbake splats`: turn a field into Gaussian splats."""
+"""`nerfbake splats`: turn a field into Gaussian splats, or splats into fewer."""
 
 from __future__ import annotations
 
@@ -10,19 +10,24 @@ from nerfbake import io
 from nerfbake.cli.fit import training_picture_options
 from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
+    Box,
     Number,
     ParamType,
     as_json,
+    bundled,
     console_options,
+    max_memory,
     parse_count,
     seed,
-    source_argument,
     target_argument,
+    without_effect,
 )
+from nerfbake.cli.paths import Reads
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:
+    from nerfbake.jobs.splat_parts import SplatParts
     from nerfbake.jobs.splats import SplatsResult
 
 _MOST = 20_000_000
@@ -41,14 +46,35 @@ class SplatCount(ParamType[int]):
 
 
 @click.command()
-@source_argument
+@click.argument("source", metavar="IN...", nargs=-1, required=True, type=Reads(allow_dash=True))
 @target_argument("Splats")
 @click.option(
-    "--count", type=SplatCount(), default="150k", show_default=True, help="Largest number of splats, for example 150k."
+    "--count",
+    type=SplatCount(),
+    help="Largest number of splats, for example 150k.  [default: 150k; all splats of IN]",
+)
+@bundled(
+    "parts",
+    "jobs.splat_parts.SplatParts",
+    click.option(
+        "--box",
+        type=Box(),
+        help="Keep the splats with their centre in this box (splats only): two opposite corners, in world coordinates.",
+    ),
+    click.option(
+        "--floaters",
+        is_flag=True,
+        help="Drop isolated splats, faint clouds, and huge splats far outside (splats only).",
+    ),
+    click.option("--largest", is_flag=True, help="Keep the largest connected part (splats only)."),
 )
 @training_picture_options("Photographs that OUT is fitted to", "jobs.splats.SplatsViews")
 @click.option(
-    "--epochs", type=click.IntRange(1, 100), default=4, show_default=True, help="Number of passes over the pictures."
+    "--epochs",
+    type=click.IntRange(0, 100),
+    default=4,
+    show_default=True,
+    help="Number of passes over the pictures. 0: splats of IN are merged, and not fitted.",
 )
 @click.option(
     "--min-psnr",
@@ -57,49 +83,60 @@ class SplatCount(ParamType[int]):
 )
 @function_options()
 @seed
+@max_memory
 @as_json
 @console_options
 def splats(
-    source: Source,
+    source: tuple[str, ...],
     target: Target,
-    count: int,
+    count: int | None,
+    parts: SplatParts,
     epochs: int,
     seed: int,
     as_json: bool,
     console: Console,
     **options: Any,
 ) -> None:
-    """Turn a scene into Gaussian splats.
+    """Turn a scene into splats, or splats into fewer.
 
     Starts with the leaves of the PlenOctree, octree, volume or lattice IN that contribute most to pictures, and fits
     them to photographs (--views) or to pictures of IN. Splats are antialiased: viewers that know the flag show them
     right at every size. Prints the PSNR and SSIM of OUT on held-out photographs, or on pictures of IN from other sides.
 
+    If IN is splats, several of them are joined as they are, then cut, and neighbours are merged until --count are
+    left, which are fitted to the same pictures. If none are merged, they are fitted to photographs alone.
+
     \b
       nerfbake splats chair.npz chair.spz
       nerfbake splats chair.npz chair.ply --count 50k --epochs 5
       nerfbake splats chair.npz chair.spz --views photographs --min-psnr 34
+      nerfbake splats scene.ply small.spz --count 100k --floaters
+      nerfbake splats room.ply table.ply both.spz --box=-2,-2,-2,2,2,2
     """
 
     from nerfbake.jobs.splats import SplatsOptions, bake_splats
+
+    if not epochs:
+        without_effect("frames", "seed", here="with --epochs 0", allowed="with --epochs 1 or more")
 
     def report(found: SplatsResult) -> None:
         if as_json:
             io.print_json(_facts(source, found))
 
     bake_splats(
-        source,
+        [Source(path) for path in source],
         target,
-        options=SplatsOptions(splats=count, epochs=epochs, seed=seed),
+        options=SplatsOptions(splats=count, parts=parts, epochs=epochs, seed=seed),
         steps=console,
         report=report,
         **options,
     )
 
 
-def _facts(source: Source, found: SplatsResult) -> dict[str, Any]:
+def _facts(source: tuple[str, ...], found: SplatsResult) -> dict[str, Any]:
     return {
-        "in": source.path,
+        "in": source[0],
+        "joined": list(source[1:]),
         "file": found.path,
         "content": found.content,
         "bytes": found.bytes,

@@ -58,6 +58,7 @@ from .samples import write_sample_n3tree as write_sample_n3tree
 from .samples import write_sample_stage1 as write_sample_stage1
 from .shaders import write_shaders as write_shaders
 from .splat_choice import SplatChoice as SplatChoice
+from .splat_parts import SplatParts as SplatParts
 from .splats import SplatsOptions as SplatsOptions
 from .splats import SplatsResult as SplatsResult
 from .splats import SplatsViews as SplatsViews

@@ -151,19 +151,18 @@ def cut_out(steps: Steps, source: Source, split: SplitViews, field: RadianceFiel
             return SplitViews(training, cut_out_field(split.held_out, field))
 
 
-def require_alike(steps: Steps, source: Source, field: RadianceField, held_out: Views, views: str) -> None:
-    """Raise InvalidScene if the photographs do not show the field, and print how near it comes to them."""
+def require_alike(steps: Steps, source: Source, scene: RadianceField | Splats, held_out: Views, views: str) -> None:
+    """Raise InvalidScene if the photographs do not show the scene, and print how near it comes to them."""
     some = held_out.take(range(0, len(held_out.pictures), -(-len(held_out.pictures) // _CHECKED)))
     with source.blamed(steps, f"comparing with {views}"):
-        found = measure_views(field, some)
+        found = measure_views(scene, some)
         psnr, plain = mean_of(found, "psnr"), plain_psnr(some)
         if psnr < plain + _ALIKE:
+            what, has = ("the splats", "have") if isinstance(scene, Splats) else ("the field", "has")
             text = (
-                f"has {psnr:.2f} dB on the photographs of {views}, where pictures of a single colour have {plain:.2f}"
+                f"{has} {psnr:.2f} dB on the photographs of {views}, where pictures of a single colour have {plain:.2f}"
             )
-            raise InvalidScene(
-                Problem("the field", text, "photographs of the same scene, with poses in its coordinates")
-            )
+            raise InvalidScene(Problem(what, text, "photographs of the same scene, with poses in its coordinates"))
     steps.say(f"{source.name}: {psnr:.2f} dB on {some} of {views}")
 
 

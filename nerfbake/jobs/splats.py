@@ -1,13 +1,15 @@
-"""Bake Gaussian splats from a field: its visible leaves, fitted to pictures of the field or to photographs."""
+"""Bake Gaussian splats: the visible leaves of a field, or fewer of a file's splats, fitted to pictures."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from nerfbake import catalog, io, progress
-from nerfbake.jobs.budgets import Budget, reporting
+from nerfbake.errors import UsageError
+from nerfbake.jobs.budgets import FRAMES, Budget, reporting
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back
 from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial
 from nerfbake.jobs.function_voxels import FunctionVoxels
@@ -15,17 +17,21 @@ from nerfbake.jobs.photographs import (
     MeasuredViews,
     PhotographOptions,
     SplitViews,
+    read_photographs,
     read_photographs_of,
     render_split,
     require_alike,
 )
 from nerfbake.jobs.readings import Reading
+from nerfbake.jobs.splat_parts import SplatParts, read_joined, require_sources
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.views import picture_views
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_to_splats import COUNT, build_splats
-from nerfbake.stages.scene_to_cameras import without_strays
+from nerfbake.stages.scene_to_cameras import orbit_cameras, without_strays
+from nerfbake.stages.splats_to_splats import merge_splats
 from nerfbake.stages.views_to_error import ViewError, measure_views
 
 EDGE = 400  # width and height of rendered pictures, in pixels
@@ -47,26 +53,41 @@ class SplatsViews:
     frames: int = PICTURES
     edge: int = EDGE
 
-    def split(self, steps: Steps, source: Source, field: RadianceField, splats: Splats | None = None) -> SplitViews:
-        """Return the training views and the held-out views. Raises NerfbakeError if they show something else.
-
-        splats: those that the field was made of, which are sharper than its voxels; None: it was made of other things.
-        """
+    def split(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
+        """Return the training views and the held-out views. Raises NerfbakeError if they show something else."""
         if self.views is not None:
             split = read_photographs_of(steps, Source(self.views), self.photographs, field)
             require_alike(steps, source, field, split.held_out, self.views)
             return split
         with source.blamed(steps, f"rendering pictures of {source.name}"):
-            framed = without_strays(field)
-            shown = field if splats is None else splats
-            return render_split(shown, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM)
+            return render_split(field, frames=self.frames, edge=self.edge, framed=without_strays(field), zoom=_ZOOM)
+
+    def split_of(self, steps: Steps, source: Source, splats: Splats, *, fitted: bool) -> SplitViews:
+        """Return the same of splats. fitted: without it, the training views are not needed, and may be any others."""
+        if self.views is not None:
+            split = read_photographs(steps, Source(self.views), self.photographs).moved(splats.origin)
+            require_alike(steps, source, splats, split.held_out, self.views)
+            return split
+        with source.blamed(steps, f"rendering pictures of {source.name}"):
+            if fitted:
+                return render_split(splats, frames=self.frames, edge=self.edge, zoom=_ZOOM)
+            around = orbit_cameras(splats, frames=FRAMES, width=self.edge, height=self.edge)
+            held_out = picture_views(splats, around, 1)
+            return SplitViews(held_out, held_out)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SplatsOptions:
-    """splats: the largest number of splats. epochs: passes over the pictures. seed: of the order of the pictures."""
+    """How many splats there are, and how they are fitted.
 
-    splats: int = COUNT
+    splats  the largest number of splats; None: 150,000 of a field, all of splats
+    parts   which splats of the input are kept; of splats only
+    epochs  passes over the pictures; 0: merged splats are not fitted
+    seed    of the order of the pictures
+    """
+
+    splats: int | None = None
+    parts: SplatParts = SplatParts()
     epochs: int = 4
     seed: int = 0
 
@@ -90,7 +111,7 @@ class SplatsResult(MeasuredViews):
 
 
 def bake_splats(
-    source: AnySource,
+    source: AnySource | Sequence[AnySource],
     target: AnyTarget,
     pictures: SplatsViews = SplatsViews(),
     *,
@@ -100,9 +121,11 @@ def bake_splats(
     steps: Steps = SILENT,
     report: Callable[[SplatsResult], None] | None = None,
 ) -> SplatsResult:
-    """Turn a field into Gaussian splats, fit them to pictures, and return the quality of the file.
+    """Turn a field into splats, or splats into fewer, fit them to pictures, and return the quality of the file.
 
-    This is `nerfbake splats`. Reads `source`, any scene with a field, and the photographs of `pictures`. Writes
+    This is `nerfbake splats`. Reads `source`, any scene with a field, or splats, also of several files, which are
+    joined; and the photographs of `pictures`. Splats are cut and merged before the fit; if none are merged, they are
+    fitted to photographs alone. Writes
     `target`, or `target`.rejected if it is below `min_psnr`, in dB on the held-out views. Ctrl-C writes the current
     state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept under this
     name. Raises NerfbakeError.
@@ -115,30 +138,48 @@ def bake_splats(
     >>> baked.splats <= 400, baked.psnr > 15
     (True, True)
     """
-    source, target = as_source(source), as_target(target)
+    sources = [as_source(source)] if isinstance(source, Source | str | Path) else [as_source(each) for each in source]
+    target = as_target(target)
     pictures.photographs.require()
     form = _require(target, min_psnr)
-    reading = Reading(steps, source, functions=functions)
+    require_sources(sources)
+    first = sources[0]
+    reading = Reading(steps, first, *((Splats,) if len(sources) > 1 else ()), functions=functions)
     reading.require()
-    reading.use_inner_cube()
-    field = reading.field(visible="nothing to fit splats to")
-    own = reading.shown if isinstance(reading.shown, Splats) else None
-    del reading
+    options.parts.require(reading)
     clock = Clock()
-    split = pictures.split(steps, source, field, own)
-    upright = own is None and form.load_splat_module().KEEPS_UP  # z is up in all scenes but splats
-    del own
-    steps.say(f"{source.name}: fits splats to {split.training}, measures on {split.held_out}")
-    with interrupts() as interrupted:
-        with source.blamed(steps, "choosing leaves"):
-            splats = build_splats(
-                field, count=options.splats, cameras=split.training.cameras if pictures.views else None
-            )
-        del field
-        splats = fitted_splats(steps, source, splats, split.training, options, interrupted)
-        splats = replace(splats, up="z") if upright else splats
-        if interrupted.is_set():
-            write_partial(steps, target, "Splats", splats)
+    if isinstance(reading.scene, Splats):
+        original = options.parts.of(steps, first, read_joined(steps, sources, reading.scene))
+        del reading
+        count = options.splats or original.n
+        fitted = options.epochs > 0 and (count < original.n or pictures.views is not None)
+        split = pictures.split_of(steps, first, original, fitted=fitted)
+        against = "" if pictures.views else f" of {first.name}" if len(sources) == 1 else " of the joined splats"
+        with interrupts() as interrupted:
+            with first.blamed(steps, "merging splats"):
+                splats = merge_splats(original, count=count)
+            del original
+            if fitted:
+                steps.say(f"{first.name}: fits {splats} to {split.training}, measures on {split.held_out}{against}")
+                splats = fitted_splats(steps, first, splats, split.training, options, interrupted)
+    else:
+        if not options.epochs:
+            raise UsageError("`epochs` 0 has no effect on a field; allowed: with splats that are merged")
+        reading.use_inner_cube()
+        field = reading.field(visible="nothing to fit splats to")
+        del reading
+        split, against = pictures.split(steps, first, field), ""
+        steps.say(f"{first.name}: fits splats to {split.training}, measures on {split.held_out}")
+        with interrupts() as interrupted:
+            with first.blamed(steps, "choosing leaves"):
+                cameras = split.training.cameras if pictures.views else None
+                splats = build_splats(field, count=options.splats or COUNT, cameras=cameras)
+            del field
+            splats = fitted_splats(steps, first, splats, split.training, options, interrupted)
+            if form.load_splat_module().KEEPS_UP:  # z is up in all scenes but splats
+                splats = replace(splats, up="z")
+    if interrupted.is_set():
+        write_partial(steps, target, "Splats", splats)
     worked, passed = clock.worked, clock.passed
     reported = reporting(lambda: report(found) if report is not None else None)
     with reported, target.writing(steps, splats) as written:
@@ -146,8 +187,8 @@ def bake_splats(
             views, content = _measured(steps, target, written, split.held_out, splats)
         found = SplatsResult(target.path, content, written.size, splats.n, views, worked, passed)
         io.report_result(psnr=found.psnr)
-        Budget(min_psnr=min_psnr).judge(found.psnr, "the splats have", str(split.held_out))
-        seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {split.held_out}"
+        Budget(min_psnr=min_psnr).judge(found.psnr, "the splats have", f"{split.held_out}{against}")
+        seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {split.held_out}{against}"
         steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
     return found
 

@@ -172,7 +172,7 @@ def eigenvectors(matrix: Floats) -> tuple[Floats, Floats]:
     Jacobi rotations, row by row. The largest entry of each vector is positive.
     """
     turned, vectors = matrix.copy(), np.eye(len(matrix))
-    _rotate(turned, vectors)
+    diagonalise(turned, vectors)
     values = np.diagonal(turned)
     order = np.argsort(-values, kind="stable")
     vectors = vectors[:, order]
@@ -182,7 +182,7 @@ def eigenvectors(matrix: Floats) -> tuple[Floats, Floats]:
 
 
 @compiled()
-def _rotate(a: Floats, vectors: Floats) -> None:
+def diagonalise(a: Floats, vectors: Floats) -> None:
     """Rotate the matrix until its off-diagonal entries vanish, and the vectors with it."""
     n = len(a)
     for _ in range(_SWEEPS):
