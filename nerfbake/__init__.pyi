@@ -91,8 +91,8 @@ from .stages.specular_to_clusters import identify_colours as identify_colours
 from .stages.splats_to_image import render_splats as render_splats
 from .stages.splats_to_loss import measure_splats as measure_splats
 from .stages.splats_to_octree import build_octree_from_splats as build_octree_from_splats
-from .stages.splats_to_splats import drop_floaters as drop_floaters
-from .stages.splats_to_splats import largest_part as largest_part
+from .stages.splats_to_splats import cut_floaters as cut_floaters
+from .stages.splats_to_splats import cut_largest_part as cut_largest_part
 from .stages.splats_to_splats import merge_splats as merge_splats
 from .stages.splats_to_up import measure_stand as measure_stand
 from .stages.stage1_to_atlas import bake_stage1 as bake_stage1

@@ -11,12 +11,11 @@ from nerfbake.jobs.files import Source
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.steps import Steps
 from nerfbake.jobs.upright import upside_down_note
-from nerfbake.kernels.soundness import plural
 from nerfbake.scene.origin import origin_text
 from nerfbake.scene.splats import Splats, join_splats, splats_size
 from nerfbake.scene.views import world_box
 from nerfbake.stages.splat_box import cut_splats
-from nerfbake.stages.splats_to_splats import drop_floaters, largest_part
+from nerfbake.stages.splats_to_splats import cut_floaters, cut_largest_part
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +33,7 @@ class SplatParts:
 
     def require(self, reading: Reading) -> None:
         """Raise UsageError for a choice that has no effect on what was read."""
-        taken = dict.fromkeys(("box", "floaters", "largest"), (Splats,))
+        taken: dict[str, tuple[type, ...]] = dict.fromkeys(("box", "floaters", "largest"), (Splats,))
         reading.require(taken=taken, box=self.box, floaters=self.floaters or None, largest=self.largest or None)
 
     def of(self, steps: Steps, source: Source, splats: Splats) -> Splats:
@@ -45,16 +44,16 @@ class SplatParts:
                 kept = cut_splats(kept, world_box(self.box) - kept.origin, opacity_min=0).splats
                 _tell(steps, source, splats, kept, "outside the box")
             if self.floaters:
-                before, kept = kept, drop_floaters(kept)
+                before, kept = kept, cut_floaters(kept)
                 _tell(steps, source, before, kept, "that float")
             if self.largest:
-                before, kept = kept, largest_part(kept)
+                before, kept = kept, cut_largest_part(kept)
                 _tell(steps, source, before, kept, "outside the largest part")
         return kept
 
 
 def _tell(steps: Steps, source: Source, before: Splats, after: Splats, which: str) -> None:
-    steps.say(f"{source.name}: leaves out {plural(before.n - after.n, 'splat')} of {before.n:,} {which}")
+    steps.say(f"{source.name}: leaves out {before.n - after.n:,} of {before.n:,} splats {which}")
 
 
 def read_joined(steps: Steps, sources: Sequence[Source], first: Splats) -> Splats:

@@ -13,6 +13,7 @@ from nerfbake import Splats, build_octree, build_vdb, jobs, load, sample_n3tree,
 from nerfbake.cli.main import run
 from tests.cli.telling import told
 from tests.support.outputs import read_output
+from tests.support.splats import splats as some_splats
 
 SMALL = "--count 300 --frames 4 --edge 32 --epochs 2"
 
@@ -91,12 +92,102 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
         ("splats a.npz a.ply --masks m", "--masks has no effect without --views; allowed: it with --views"),
         ("splats a.npz -", "splats measures the file that it wrote; allowed: an OUT other than '-'"),
         ("splats a.npz a.npz", "a.npz"),
+        ("splats a.npz a.ply --floaters", "--floaters has no effect on a PlenOctree; allowed: with splats"),
+        ("splats a.npz a.ply --largest", "--largest has no effect on a PlenOctree; allowed: with splats"),
+        ("splats a.npz a.ply --box=0,0,0,1,1,1", "--box has no effect on a PlenOctree; allowed: with splats"),
+        ("splats a.npz a.ply --epochs 0", "--epochs 0 has no effect on a field; allowed: with splats"),
+        ("splats a.npz a.ply --epochs 0 --seed 1", "--seed has no effect with --epochs 0"),
+        ("splats - - a.ply", "several inputs are stdin, which can be read once; allowed: '-' for one of them"),
     ],
 )
 def test_a_wrong_use_is_one_line(words: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(words.split()) == 2
     assert message in capsys.readouterr().err
     assert not Path("a.ply").exists()
+
+
+def made(name: str, n: int = 400) -> Splats:
+    """Save a ball of splats."""
+    scene = some_splats(n, degree=1)
+    scene = replace(scene, scales=np.full((n, 3), 0.1, np.float32))
+    save(name, scene)
+    return scene
+
+
+def test_splats_are_merged_and_judged_by_pictures_of_the_original(capsys: pytest.CaptureFixture[str]) -> None:
+    made("many.ply")
+    words = ["splats", "many.ply", "few.ply", "--count", "100", "--edge", "32", "--force"]
+    found = [told([*words, *more], capsys) for more in (["--frames", "6"], ["--epochs", "0"])]
+    assert [facts["splats"] for facts in found] == [100, 100]
+    assert found[0]["psnr"] > found[1]["psnr"] + 1 > 15
+    assert run(["splats", "many.ply", "few.ply", "--count", "100", "--frames", "6", "--edge", "32", "--force"]) == 0
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert " dB, SSIM " in last
+    assert " on 8 pictures with alpha of many.ply; after " in last
+    assert run(["compare", "many.ply", "few.ply", "--size", "32x32", "--json"]) == 0
+    seen = json.loads(capsys.readouterr().out)["mean"]["a_b"]["psnr"]
+    assert found[0]["psnr"] == pytest.approx(seen, abs=0.3)  # 8 bits of the original's pictures
+
+
+def test_splats_that_are_not_merged_stay_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = made("many.ply")
+    assert told(["splats", "many.ply", "same.ply", "--edge", "16", "--count", "1k"], capsys)["splats"] == 400
+    assert np.array_equal(load("same.ply", Splats).means, scene.means)
+    same, before = load("same.ply", Splats), load("many.ply", Splats)
+    assert np.allclose(same.quats, before.quats, rtol=1e-6)
+    assert np.allclose(same.opacity, before.opacity, rtol=1e-6)  # a .ply holds its logit
+
+
+def test_a_box_cuts_by_the_centre_and_says_how_many(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = made("many.ply")
+    assert run(["splats", "many.ply", "part.ply", "--box=-1,-9,-9,0,9,9", "--edge", "16"]) == 0
+    inside = (scene.means[:, 0] >= -1) & (scene.means[:, 0] <= 0)
+    assert np.array_equal(load("part.ply", Splats).means, scene.means[inside])
+    count = int(np.count_nonzero(inside))
+    assert f"many.ply: leaves out {400 - count} of 400 splats outside the box\n" in capsys.readouterr().err
+
+
+def test_several_files_are_joined_in_the_world_of_the_first(capsys: pytest.CaptureFixture[str]) -> None:
+    first = made("one.ply")
+    save("two.ply", replace(first, origin=np.array([3.0, 0, 0]), antialiased=True))
+    facts = told(["splats", "one.ply", "two.ply", "both.ply", "--edge", "16"], capsys)
+    assert (facts["in"], facts["joined"], facts["splats"]) == ("one.ply", ["two.ply"], 800)
+    both = load("both.ply", Splats)
+    assert np.allclose(both.means[400:], first.means + np.array([3, 0, 0], np.float32), atol=1e-6)
+    assert not both.antialiased
+    assert run(["splats", "one.ply", "two.ply", "more.ply", "--edge", "16"]) == 0
+    said = capsys.readouterr().err
+    assert "two.ply: is antialiased, and OUT is not antialiased, as one.ply" in said
+    assert " of the joined splats; after " in said
+    assert run(["splats", "one.ply", "a.npz", "no.ply"]) == 1
+    assert "a.npz: holds a PlenOctree" in capsys.readouterr().err
+    assert not Path("no.ply").exists()
+
+
+def test_floaters_and_parts_are_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = made("many.ply")
+    scene.means[7] = 60.0
+    save("far.ply", scene)
+    assert run(["splats", "far.ply", "kept.ply", "--floaters", "--largest", "--edge", "16"]) == 0
+    assert load("kept.ply", Splats).n < 400
+    said = capsys.readouterr().err
+    assert " of 400 splats that float\n" in said
+    assert " splats outside the largest part\n" in said
+
+
+@pytest.mark.slow
+def test_splats_are_fitted_to_photographs(capsys: pytest.CaptureFixture[str]) -> None:
+    jobs.write_sample_capture("photographs", frames=10, edge=32)
+    assert (
+        run(["splats", "a.npz", "first.ply", "--count", "300", "--frames", "4", "--edge", "32", "--epochs", "1"]) == 0
+    )
+    before = told(["splats", "first.ply", "same.ply", "--views", "photographs", "--epochs", "0"], capsys)
+    after = told(["splats", "first.ply", "better.ply", "--views", "photographs", "--epochs", "4"], capsys)
+    assert after["psnr"] > before["psnr"] + 0.5
+    made("other.ply")
+    assert run(["splats", "other.ply", "no.ply", "--views", "photographs"]) == 1
+    said = "the splats have "
+    assert said in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_fit_writes_splats(capsys: pytest.CaptureFixture[str]) -> None:

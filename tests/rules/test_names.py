@@ -14,6 +14,7 @@ VERBS = {"bake", "build", "carve", "cast", "cluster", "compare", "compress", "cu
 VERBS |= {
     "colour",
     "measure",
+    "merge",
     "move",
     "orbit",
     "quantise",

@@ -34,7 +34,6 @@ class Mixture(NamedTuple):
     form (n, 6)     covariance: xx, xy, xz, yy, yz, zz
     opacity (n,)    at the centre
     colour (n, 3)   mean colour, 0..1
-    weight (n,)     how much an error of this splat counts
     row (n,) int64  its row in the splats that are merged
     """
 
@@ -42,7 +41,6 @@ class Mixture(NamedTuple):
     form: Floats
     opacity: Floats
     colour: Floats
-    weight: Floats
     row: Ints
 
 
@@ -102,7 +100,7 @@ def choose_pairs(order: Ints, partners: Numbers, taken: Bits, pairs: Numbers) ->
     """
     count = 0
     for i in order:
-        j = np.int64(partners[i])
+        j = partners[i]
         if count == len(pairs):
             break
         if not taken[i] and not taken[j]:
@@ -116,7 +114,7 @@ def choose_pairs(order: Ints, partners: Numbers, taken: Bits, pairs: Numbers) ->
 def merge_pairs(splats: Mixture, sh: Singles, pairs: Numbers, blur: float) -> None:
     """Replace the first splat of each pair by the union, also in sh (rows of Mixture.row)."""
     for k in range(len(pairs)):
-        i, j = np.int64(pairs[k, 0]), np.int64(pairs[k, 1])
+        i, j = int(pairs[k, 0]), int(pairs[k, 1])
         union = union_of(splats, i, j, blur)
         share, rest = union.share, 1 - union.share
         for axis in range(3):
@@ -124,7 +122,6 @@ def merge_pairs(splats: Mixture, sh: Singles, pairs: Numbers, blur: float) -> No
             splats.colour[i, axis] = share * splats.colour[i, axis] + rest * splats.colour[j, axis]
         for part in range(6):
             splats.form[i, part] = union.form[part]
-        splats.weight[i] = share * splats.weight[i] + rest * splats.weight[j]
         splats.opacity[i] = union.opacity
         to, other = splats.row[i], splats.row[j]
         for b in range(sh.shape[1]):
@@ -189,7 +186,6 @@ def union_of(splats: Mixture, i: int, j: int, blur: float) -> Union:
         apart += (splats.colour[i, channel] - splats.colour[j, channel]) ** 2
     x, y = o * rest, p * share
     colours = apart * (0.5 * (x * x * own + y * y * other) - 2 * x * y * shared)
-    weight = share * splats.weight[i] + rest * splats.weight[j]
     return Union(
         (
             splats.centre[i, 0] + rest * dx,
@@ -199,7 +195,7 @@ def union_of(splats: Mixture, i: int, j: int, blur: float) -> Union:
         (f0 - blur, f1, f2, f3 - blur, f4, f5 - blur),
         opacity,
         share,
-        weight * (_COVERAGE * max(alpha, 0.0) + max(colours, 0.0)),
+        _COVERAGE * max(alpha, 0.0) + max(colours, 0.0),
     )
 
 
@@ -226,7 +222,7 @@ def _overlap(xx: float, xy: float, yy: float, uu: float, uv: float, vv: float, d
         return 0.0
     power, more = compiled_exp_parts(-0.5 * square)
     both = max(xx * yy - xy * xy, 0.0) * max(uu * vv - uv * uv, 0.0)
-    return sqrt(both / det) * (power + power * more)
+    return float(sqrt(both / det) * (power + power * more))
 
 
 @compiled()
