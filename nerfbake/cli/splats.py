@@ -81,7 +81,7 @@ class SplatCount(ParamType[int]):
     type=Number(),
     help="Lowest allowed PSNR on the held-out views in dB. Below it, OUT is renamed to OUT.rejected (exit code 3).",
 )
-@function_options()
+@function_options("box")
 @seed
 @max_memory
 @as_json

@@ -335,7 +335,8 @@ class Cameras(Scene):
             pose[:3, :3] = rotate(camera.pose[:3, :3].T, frame[:, :3] / scale).T
             pose[:3, 3] = rotate(camera.pose[:3, 3], frame[:, :3]) + frame[:, 3]
             moved.append(replace(camera, pose=pose))
-        return replace(self, cameras=tuple(moved))
+        points = self.points and replace(self.points, positions=transform_points(self.points.positions, frame))
+        return replace(self, cameras=tuple(moved), points=points)
 
     @property
     def eyes(self) -> npt.NDArray[np.float64]:

@@ -115,7 +115,8 @@ def test_every_command_takes_every_scene(scene: str, command: str, tmp_path: Pat
     said = [line for line in listener.said if line.startswith(f"{scene}: ")]
     told = {"grid.npz": "dB against pictures of the lattice", "ball.ply": "pictures of the splats"}
     told["soft.tar"] = "pictures of the field itself"
-    if scene in told and (command != "like" or scene == "soft.tar"):
+    stay = (scene, command) == ("ball.ply", "splats")  # splats that become fewer do not become voxels
+    if scene in told and not stay and (command != "like" or scene == "soft.tar"):
         assert sum(told[scene] in line for line in said) == 1
     if scene == "smoke.vdb":
         by_density = "the octree gets the density only, without Cd"

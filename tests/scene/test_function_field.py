@@ -10,6 +10,7 @@ from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.function_field import FunctionField, Occupancy
 from nerfbake.scene.lattice_field import Activation
 from nerfbake.scene.network import Frequencies, HeadColour, Mlp, Network
+from nerfbake.scene.sparse_points import SparsePoints
 
 BOX = np.array([[-1.0] * 3, [1.0] * 3])
 TURN = np.array([[0.0, -2.0, 0.0, 0.5], [2.0, 0.0, 0.0, -0.25], [0.0, 0.0, 2.0, 0.125]])  # a quarter turn about z
@@ -92,3 +93,12 @@ def test_a_frame_that_is_skewed_is_a_problem() -> None:
     skewed[0, 0] = 1
     assert [problem.place for problem in linear(skewed).problems()] == ["the field's frame"]
     assert linear(TURN).problems() == []
+
+
+def test_sparse_points_turn_with_their_cameras() -> None:
+    pose = np.eye(4)
+    pose[:3, 3] = [0.125, 0.25, -0.25]
+    points = SparsePoints(pose[None, :3, 3] + [[0.0, 0.0, -1.0]])
+    moved = Cameras((Camera(4, 3, 5.0, pose),), points=points).transformed(TURN)
+    assert moved.points is not None
+    assert_allclose(moved.points.positions - moved.eyes, 2 * moved.axes, atol=1e-12)
