@@ -32,7 +32,7 @@ def above_ground(*, depth: float = 0.0, without: int | None = None) -> Cameras:
         cameras.append(Camera(16, 16, 16.0, pose, str(i)))
     random = np.random.default_rng(0)
     ground = random.uniform(-EDGE, EDGE, (2000, 2))
-    near = (np.abs(ground[None] - places[:, None]) < HEIGHT / 2).all(axis=2)
+    near = np.asarray((np.abs(ground[None] - places[:, None]) < HEIGHT / 2).all(axis=2))
     if without is not None:
         near[without] = False
     camera, point = np.nonzero(near)
