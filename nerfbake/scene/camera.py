@@ -17,7 +17,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats
-from nerfbake.kernels.maths.affine import inverse, rotate
+from nerfbake.kernels.maths.affine import inverse, rotate, transform_points
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import Scene

@@ -33,7 +33,7 @@ def test_all_files_compile_together_in_either_order(runner: Runner) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_file_includes_what_the_table_says_and_has_a_guard(language: str, name: str) -> None:
     file = HOME / language / f"{name}.{language}"
-    text = file.read_text() if file.exists() else shader_text(f"{language}/{name}.{language}")
+    text = file.read_text() if file.is_file() else shader_text(f"{language}/{name}.{language}")
     assert tuple(re.findall(rf'(?m)^#include "(\w+)\.{language}"$', text)) == NEEDS[name]
     guard = f"NERFBAKE_{name.upper()}_{language.upper()}"
     code = re.sub(r"(?m)^//.*\n", "", text)
