@@ -111,6 +111,14 @@ def cut_floaters(splats: Splats) -> Splats:
     dropped if the opacities of all others in its cell and the 26 around it sum to less than 2, or if its centre is
     outside inner_box() and its largest standard deviation is above a quarter of the longest edge. Raises InvalidScene
     if none is left, MemoryLimit. Source: none.
+
+    >>> import numpy as np
+    >>> from nerfbake import Splats, cut_floaters
+    >>> places = np.concatenate([np.random.default_rng(0).uniform(size=(200, 3)), [[9, 9, 9]]]).astype(np.float32)
+    >>> sizes, turns = np.full((201, 3), 0.02, np.float32), np.tile(np.float32([1, 0, 0, 0]), (201, 1))
+    >>> scene = Splats(places, sizes, turns, np.ones(201, np.float32), np.zeros((201, 1, 3), np.float32))
+    >>> print(cut_floaters(scene))
+    200 splats of SH degree 0
     """
     grid = _grid_of(splats)
     sums = np.bincount(grid.cells, splats.opacity.astype(np.float64))
@@ -130,6 +138,14 @@ def cut_largest_part(splats: Splats) -> Splats:
     Cells, as of cut_floaters(), are connected if they touch and hold splats of an opacity of at least 0.1. Thinner
     splats belong to the part whose cells they are in or beside. Raises InvalidScene if no splat is that opaque,
     MemoryLimit.
+
+    >>> import numpy as np
+    >>> from nerfbake import Splats, cut_largest_part
+    >>> places = np.concatenate([np.random.default_rng(0).uniform(size=(200, 3)), [[9, 9, 9]]]).astype(np.float32)
+    >>> sizes, turns = np.full((201, 3), 0.02, np.float32), np.tile(np.float32([1, 0, 0, 0]), (201, 1))
+    >>> scene = Splats(places, sizes, turns, np.ones(201, np.float32), np.zeros((201, 1, 3), np.float32))
+    >>> print(cut_largest_part(scene))
+    200 splats of SH degree 0
     """
     grid = _grid_of(splats)
     held = np.zeros(len(grid.keys), np.bool_)
