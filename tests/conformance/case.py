@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from nerfbake import catalog
@@ -24,6 +24,7 @@ class Frozen:
     """A file, or a folder, and how it is written: a format of the catalog, and what its encode() takes.
 
     data: the file itself, or a folder's files by their names, of a format that is read alone.
+    beside: by their names, the files in the same folder that its reader needs.
     """
 
     form: AnyFormat
@@ -31,6 +32,7 @@ class Frozen:
     options: Facts = field(default_factory=dict)
     compressed: bool = False
     data: bytes | Mapping[str, bytes] | None = None
+    beside: Mapping[str, bytes] = field(default_factory=dict)
 
     def pieces(self) -> Any:
         """What is written: pieces of bytes, or of a folder names with such pieces."""
@@ -43,7 +45,11 @@ class Frozen:
         """All files by their paths below HOME; `name` is the file's or the folder's."""
         if isinstance(self.form, catalog.FolderKind):
             return {f"{name}/{file}": b"".join(pieces) for file, pieces in self.pieces()}
-        return {name: b"".join(self.pieces())}
+        return {name: b"".join(self.pieces())} | dict(zip(self.beside_paths(name), self.beside.values(), strict=True))
+
+    def beside_paths(self, name: str) -> list[str]:
+        """The paths below HOME of the files beside the one of this name."""
+        return [f"{PurePosixPath(name).parent}/{each}" for each in self.beside]
 
 
 @dataclass(frozen=True)
@@ -75,6 +81,8 @@ class Case:
             files[name] = {"format": frozen.form.name + ending, "options": frozen.options}
             packers = {path: packed_by(path) for path in frozen.written(name)}
             files[name]["packed_by"] = packers if isinstance(frozen.form, catalog.FolderKind) else packers[name]
+            if frozen.beside:
+                files[name]["beside"] = frozen.beside_paths(name)
         tolerance = {"stored": self.stored, "computed": self.computed}
         return {"about": self.about, "files": files, "tolerance": tolerance, **self.facts}
 
@@ -85,6 +93,7 @@ class Case:
         for name, told in files.items():
             kind = form_named(told["format"].removesuffix(catalog.COMPRESSED))
             found |= told["packed_by"] if isinstance(kind, catalog.FolderKind) else {name: told["packed_by"]}
+            found |= {path: {} for path in told.get("beside", ())}
         return found
 
 

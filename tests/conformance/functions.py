@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from nerfbake import FunctionField, catalog, load
 from tests.conformance.case import Case, Facts, Frozen, form_named
-from tests.support import nerfstudio, snapshots, torch_ngp
+from tests.support import nerfs, nerfstudio, snapshots, torch_ngp
 
 DIRECTION = [2 / 7, -3 / 7, 6 / 7]
 POINTS = np.random.default_rng(11).uniform(-0.7, 0.7, (6, 3)).round(3)
@@ -43,6 +44,32 @@ def cases() -> Iterator[Case]:
     facts = _facts(lambda q, d: torch_ngp.reference(small, q, d, 1.0), 0.33 * np.eye(3, 4)[[1, 2, 0]])
     files = {"function/torch_ngp.pth": Frozen(_form("pth", "torch_ngp"), None, data=whole)}
     yield Case("function/torch_ngp", about, files, facts, answer, computed=1e-4)
+    yield from _nerfs()
+
+
+def _nerfs() -> Iterator[Case]:
+    """Networks without tables, whose trained coordinates are the world's."""
+    about = "A checkpoint as nerf-pytorch writes it with torch: a coarse network, and the fine one, which is used."
+    layers = nerfs.nerf_pytorch(1)
+    data = nerfs.nerf_pytorch_file(layers)
+    files = {"function/nerf_pytorch.tar": Frozen(_form("tar", "nerf_pytorch"), None, data=data)}
+    facts = _facts(partial(nerfs.nerf_pytorch_answers, layers), np.eye(3, 4))
+    yield Case("function/nerf_pytorch", about, files, facts, answer, computed=1e-5)
+    about = "A fine-tuned checkpoint as KiloNeRF writes it with torch, and the YAML file with its domain and cells."
+    layers = nerfs.kilonerf(3)
+    beside = {"kilonerf.yaml": nerfs.KILONERF_YAML.encode()}
+    data = nerfs.kilonerf_file(layers)
+    files = {"function/kilonerf.pth": Frozen(_form("pth", "kilonerf"), None, data=data, beside=beside)}
+    low, high = nerfs.DOMAIN
+    points = (low + (POINTS / 1.5 + 0.5) * (high - low)).round(3)
+    facts = _facts(partial(nerfs.kilonerf_answers, layers), np.eye(3, 4), points)
+    yield Case("function/kilonerf", about, files, facts, answer, computed=1e-5)
+    about = "A checkpoint as JaxNeRF writes it with flax: MessagePack with a coarse network, and the fine one."
+    parameters = nerfs.jaxnerf(3)
+    data = nerfs.jaxnerf_file(parameters)
+    files = {"function/jaxnerf.msgpack": Frozen(_form("msgpack", "jaxnerf"), None, data=data)}
+    facts = _facts(partial(nerfs.jaxnerf_answers, parameters), np.eye(3, 4))
+    yield Case("function/jaxnerf", about, files, facts, answer, computed=1e-5)
 
 
 def _form(name: str, module: str) -> catalog.Format:
@@ -61,14 +88,14 @@ def _nerfacto(root: dict[str, Any], density: float) -> Values:
     return values
 
 
-def _facts(values: Values, frame: Any) -> Facts:
+def _facts(values: Values, frame: Any, points: Any = POINTS) -> Facts:
     """By the formulas in tests.support, in the trained coordinates; frame (3, 4): from the world to these."""
     scale = np.linalg.norm(frame[:, 0])
-    turned = np.tile(frame[:, :3] @ DIRECTION / scale, (len(POINTS), 1))
-    density, colours = values(POINTS @ frame[:, :3].T + frame[:, 3], turned)
+    turned = np.tile(frame[:, :3] @ DIRECTION / scale, (len(points), 1))
+    density, colours = values(points @ frame[:, :3].T + frame[:, 3], turned)
     lookups = [
         {"point": point, "density": sigma, "colour": colour}
-        for point, sigma, colour in zip(POINTS.tolist(), (scale * density).tolist(), colours.tolist(), strict=True)
+        for point, sigma, colour in zip(points.tolist(), (scale * density).tolist(), colours.tolist(), strict=True)
     ]
     return {"frame": frame.tolist(), "direction": DIRECTION, "lookups": lookups}
 
