@@ -27,12 +27,22 @@ from nerfbake.formats.wire.torch_writer import torch_file
 from nerfbake.formats.wire.zstd import compress
 from nerfbake.scene.atlas import BakedAtlas, OctahedralAtlas
 from nerfbake.scene.mesh import Mesh, Meshes
-from tests.support import environments, kplanes, merf, nerfstudio, snapshots, snerg, torch_ngp
+from tests.support import environments, kplanes, merf, mobilenerf_scenes, nerfstudio, snapshots, snerg, torch_ngp
 from tests.support.atlas_scenes import mlp_json
 from tests.support.meshes import polygon_ply, sphere
 from tests.support.plenvdb import merged_folder, plenvdb, plenvdb_folder
 from tests.support.quantised import random_quantised
-from tests.support.splats import gzip_spz, packed_ply, sog_files, sog_levels, sog_zip, spark_spz, splat_rows, splats
+from tests.support.splats import (
+    gzip_spz,
+    ksplat,
+    packed_ply,
+    sog_files,
+    sog_levels,
+    sog_zip,
+    spark_spz,
+    splat_rows,
+    splats,
+)
 from tests.support.splats import text_ply as text_splats
 
 Maker = Callable[[Path], Any]
@@ -143,6 +153,13 @@ def _stage1() -> Files:
     texture = encode_texture(np.zeros((_EDGE, _EDGE, 3), np.uint8))
     obj = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
     return {"mlp.json": mlp_json(), "feat0_0.png": texture, "feat1_0.png": texture, "mesh_0.obj": obj}
+
+
+def _mobilenerf() -> Files:
+    channels = mobilenerf_scenes.textures(edge=_EDGE)
+    pictures = [encode_texture(np.ascontiguousarray(each)) for each in (channels[..., :4], channels[..., 4:])]
+    files = {f"shape0.pngfeat{k}.png": picture for k, picture in enumerate(pictures)}
+    return mobilenerf_scenes.phone_files(**files, **{"shape0.obj": mobilenerf_scenes.obj(edge=_EDGE)})
 
 
 # -- meshes ----------------------------------------------------------------------------------------------------
@@ -314,8 +331,14 @@ FILES: dict[str, dict[str, Maker]] = {
     "usdc": {"moved.usdc": _bytes(lambda: b"".join(usdc.encode(replace(splats(_MANY, degree=1), origin=np.ones(3)))))},
     "usda": {"mesh.usda": _bytes(lambda: b"".join(mesh_usda.encode(Meshes((sphere(300, 300),)))))},
     "usdz": {"half.usdz": _bytes(lambda: b"".join(usdz.encode(splats(_MANY // 2, degree=2), half=True)))},
+    "ksplat": {
+        "floats.ksplat": _bytes(lambda: ksplat([splats(_MANY, degree=0)], 0)),
+        "bytes.ksplat": _bytes(lambda: ksplat([splats(_MANY // 2, degree=2)], 2)),
+        "sections.ksplat": _bytes(lambda: ksplat([splats(_MANY // 2, degree=degree) for degree in (0, 1)], 1)),
+    },
     "splat": {"many.splat": _bytes(lambda: splat_rows(splats(_MANY, degree=0)))},
     "stage1": {"stage1": _folder(_stage1)},
+    "mobilenerf": {"mobilenerf": _folder(_mobilenerf)},
     "atlas": {"atlas": _folder(_atlas)},
     "thesis": {"thesis": _folder(_thesis)},
     "transforms": {"transforms": _folder(lambda: {"transforms.json": _transforms()})},

@@ -97,7 +97,7 @@ def _features(files: Mapping[str, memoryview], shape: int) -> npt.NDArray[np.uin
     if first[..., 0].size > MAX_TEXELS:
         found = f"has {first.shape[1]:,}x{first.shape[0]:,} texels"
         raise InvalidFile(Problem(names[0], found, f"{MAX_TEXELS:,} texels, 4096x4096"))
-    memory.hold(names[0], 2 * first.nbytes)
+    memory.hold(names[0], 3 * first.nbytes)  # both together, and the steps from alpha to a feature
     features = np.concatenate([first, second], axis=2)
     for channel in (3, 7):
         alpha = features[..., channel]

@@ -27,6 +27,7 @@ from nerfbake.formats.wire import picture
 from nerfbake.formats.wire.blosc import unblosc
 from nerfbake.formats.wire.deflate import gunzip, inflate
 from nerfbake.formats.wire.json import parse
+from nerfbake.formats.wire.yaml import parse_map
 from nerfbake.formats.wire.zip_reader import ZipReader
 from nerfbake.formats.wire.zstd import decompress, decompress_exactly
 from tests.rules.test_imports import OWN_LIBRARY
@@ -83,6 +84,9 @@ def decoders() -> dict[str, Decoder]:
     exif = Image.Exif()
     exif[0x0112] = 6
     document = bson.encode({"a": 1.5, "b": "text", "c": [1, 2, {"q": None}], "e": 2**40})
+    settings = (
+        b'%YAML 1.1\n---\na: &i !!x/y\n- "\\x41\\u00e9"\n- {b: 1.0e-15, c: [~, yes]}\nd: *i\ne: |\n  f\ng: 0x1F # h\n'
+    )
     return {
         "zstd": Decoder("formats/wire/zstd", decompress, (zstd,)),
         "zstd exactly": Decoder("formats/wire/zstd", lambda view: decompress_exactly(view, size, "x"), (zstd,)),
@@ -91,6 +95,7 @@ def decoders() -> dict[str, Decoder]:
         "gzip": Decoder("formats/wire/deflate", lambda view: gunzip(view, "x"), (gzip.compress(DATA),)),
         "zip": Decoder("formats/wire/zip_reader", unzipped, (zipped(),)),
         "json": Decoder("formats/wire/json", lambda view: parse(view, "x", comments=True), (b'{"a": [1, "x"]} // c',)),
+        "yaml": Decoder("formats/wire/yaml", lambda view: parse_map(view, "x"), (settings,)),
         "bson": Decoder("formats/octree/bson", lambda view: elements_of(view, "x"), (document,)),
         "heic": Decoder("formats/wire/heif", photographs, (heic_of(Image.fromarray(PIXELS)),)),
         "pictures": Decoder(
