@@ -2,7 +2,7 @@
 
 The model's state is in `pipeline`, with keys such as `_model.field.aabb`. The optimisers' state, two more copies of all
 numbers, is never read. A checkpoint in its run's folder takes the run's files along. Source: docs/fields.md,
-"nerfstudio".
+"Programs".
 """
 
 from __future__ import annotations
