@@ -3,7 +3,7 @@
     config.yml                   every setting of the training; of `pipeline.model` some are not in the checkpoint
     dataparser_transforms.json   {"transform": 3 x 4, "scale": s}: the trained coordinates are s transform [p; 1]
     transforms.json              of the capture, if its user copied it here: the cameras, applied_transform A and
-                                 applied_scale a
+                                 applied_scale a. It may also be named capture_transforms.json here
 
 `transform` starts at the world before A, and `scale` contains a. Cameras are in the world after A, so that for them the
 trained coordinates are s/a transform A^-1 [p; 1]. Source: docs/fields.md, "Programs"; nerfstudio_dataparser.py.
@@ -24,7 +24,8 @@ from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import compose, inverse
 from nerfbake.scene.camera import Cameras
 
-CONFIG, WORLD, CAPTURE = "config.yml", "dataparser_transforms.json", "transforms.json"
+CONFIG, WORLD = "config.yml", "dataparser_transforms.json"
+CAPTURE, _RENAMED = "transforms.json", "capture_transforms.json"
 _MODEL = f"{CONFIG}: pipeline.model"
 _COLMAP = "colmap/sparse/0/cameras.bin"
 _OF_COLMAP = [[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]  # applied_transform of captures that do not name it
@@ -117,18 +118,19 @@ def read_run(files: RunFolder | None) -> Run:
     fields = parse_object(files[at + WORLD], WORLD)
     transform = table(fields.get("transform"), f"{WORLD}: transform", (3, 4))
     scale = number(fields, "scale", WORLD, low=_SCALES[0], high=_SCALES[1])
-    if at + CAPTURE not in files:
+    name = next((each for each in (CAPTURE, _RENAMED) if at + each in files), None)
+    if name is None:
         notes.append(
             f"without the capture's {CAPTURE} beside {CONFIG}, there are no cameras, and its applied_transform, if it "
             "has one, is undone"
         )
         return Run(settings, scale * transform, notes=tuple(notes))
-    capture = parse_object(files[at + CAPTURE], CAPTURE, comments=True)
+    capture = parse_object(files[at + name], name, comments=True)
     applied = capture.get("applied_transform", _OF_COLMAP if at + _COLMAP in files else None)
-    scale /= number(capture, "applied_scale", CAPTURE, default=1.0, low=_SCALES[0], high=_SCALES[1])
+    scale /= number(capture, "applied_scale", name, default=1.0, low=_SCALES[0], high=_SCALES[1])
     if applied is not None:
-        transform = compose(transform, _inverse(table(applied, f"{CAPTURE}: applied_transform", (3, 4))))
-    return Run(settings, scale * transform, transforms.decode(files[at + CAPTURE]), tuple(notes))
+        transform = compose(transform, _inverse(table(applied, f"{name}: applied_transform", (3, 4))))
+    return Run(settings, scale * transform, transforms.decode(files[at + name]), tuple(notes))
 
 
 def _no_settings() -> str:

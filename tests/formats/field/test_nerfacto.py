@@ -72,14 +72,16 @@ def test_a_real_run_has_the_answers_of_the_program(data: Path, given: str) -> No
 
 
 @pytest.mark.data
-def test_cameras_of_a_real_capture_are_where_the_program_had_them(data: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["transforms.json", "capture_transforms.json"])
+def test_cameras_of_a_real_capture_are_where_the_program_had_them(name: str, data: Path, tmp_path: Path) -> None:
     folder = data / "fields" / "nerfacto_object"
     files = {name: (folder / name).read_bytes() for name in ("config.yml", "dataparser_transforms.json")}
-    files["transforms.json"] = (folder / "capture_transforms.json").read_bytes()
+    files[name] = (folder / "capture_transforms.json").read_bytes()
     files["nerfstudio_models/step-000000001.ckpt"] = nerfstudio_file()
     field: object = load(written(tmp_path, files))  # a run, although it has a transforms.json
     assert isinstance(field, FunctionField)
-    assert len(load(tmp_path, Cameras).cameras) == 24
+    if name == "transforms.json":
+        assert len(load(tmp_path, Cameras).cameras) == 24
     cameras = field.in_trained_world().cameras
     assert cameras is not None
     found = np.stack([camera.pose[:3] for camera in cameras.cameras])
