@@ -28,8 +28,8 @@ from nerfbake.stages._eye import eye_of
 
 EPOCHS = 4
 # Of antialiased splats, every fourth picture is fitted at half its size, so that they are right at other sizes, too.
-# Others look different at other sizes: biker.spz, merged from 152,746 to 30,000, gets 41.3 dB without and 40.0 with them
-# at the size of the pictures; at other sizes both were not compared.
+# Others look different at other sizes: biker.spz, merged from 152,746 to 30,000, gets 41.3 dB without and 40.0 with
+# them at the size of the pictures; at other sizes both were not compared.
 _SMALL_EVERY = 4
 _ALPHA = 0.1  # weight of the error of alpha, relative to that of a channel
 # First and last step sizes. They fall geometrically. Chosen on the chair, fitted to 87 of its training photographs and
