@@ -98,22 +98,35 @@ def run_layer(packed: PackedLayers, layer: int, x: Singles, count: int, inputs: 
                 y[o, lane] = max(y[o, lane], f32(0))
 
 
+@compiled()
+def scratch(table: Ints, inputs: int) -> tuple[Singles, Singles, Singles]:
+    """The buffers of run_block(), for layers of this table and a number of inputs."""
+    widest = table[:, 0].max()
+    given = np.zeros((inputs, LANES), np.float32)
+    return given, np.empty((widest, LANES), np.float32), np.empty((widest, LANES), np.float32)
+
+
+@compiled()
+def run_block(
+    packed: PackedLayers, inputs: Singles, begin: int, end: int, buffers: tuple[Singles, Singles, Singles], out: Singles
+) -> None:
+    """Compute the points begin .. end of inputs (in, m), at most LANES, into out (outputs, m)."""
+    table, (given, one, other) = packed.table, buffers
+    for i in range(len(inputs)):
+        for lane in range(end - begin):
+            given[i, lane] = inputs[i, begin + lane]
+    run_layer(packed, 0, given, len(inputs), given, one[: table[0, 0]])
+    for layer in range(1, len(table)):
+        run_layer(packed, layer, one, table[layer - 1, 0], given, other[: table[layer, 0]])
+        one, other = other, one
+    for o in range(len(out)):
+        for lane in range(end - begin):
+            out[o, begin + lane] = one[o, lane]
+
+
 @on_every_core
 @compiled()
 def _run(core: int, cores: int, packed: PackedLayers, inputs: Singles, out: Singles) -> None:
-    m, table = inputs.shape[1], packed.table
-    widest = table[:, 0].max()
-    given = np.zeros((len(inputs), LANES), np.float32)
-    one, other = np.empty((widest, LANES), np.float32), np.empty((widest, LANES), np.float32)
+    m, buffers = inputs.shape[1], scratch(packed.table, len(inputs))
     for block in range(core, (m + LANES - 1) // LANES, cores):
-        begin, end = block * LANES, min((block + 1) * LANES, m)
-        for i in range(len(inputs)):
-            for lane in range(end - begin):
-                given[i, lane] = inputs[i, begin + lane]
-        run_layer(packed, 0, given, len(inputs), given, one[: table[0, 0]])
-        for layer in range(1, len(table)):
-            run_layer(packed, layer, one, table[layer - 1, 0], given, other[: table[layer, 0]])
-            one, other = other, one
-        for o in range(len(out)):
-            for lane in range(end - begin):
-                out[o, begin + lane] = one[o, lane]
+        run_block(packed, inputs, block * LANES, min((block + 1) * LANES, m), buffers, out)

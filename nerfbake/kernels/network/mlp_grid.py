@@ -10,7 +10,7 @@ import numpy as np
 
 from nerfbake.kernels.arrays import Ints, Singles, as_input
 from nerfbake.kernels.jit import compiled
-from nerfbake.kernels.network.mlp import LANES, PackedLayers, run_layer
+from nerfbake.kernels.network.mlp import LANES, PackedLayers, run_block, scratch
 from nerfbake.kernels.parallel import on_every_core
 
 
@@ -27,20 +27,8 @@ def run_perceptrons(packed: PackedLayers, which: Ints, inputs: Singles, outputs:
 @on_every_core
 @compiled()
 def _run(core: int, cores: int, numbers: Singles, table: Ints, first: Ints, inputs: Singles, out: Singles) -> None:
-    widest = table[:, 0].max()
-    given = np.zeros((len(inputs), LANES), np.float32)
-    one, other = np.empty((widest, LANES), np.float32), np.empty((widest, LANES), np.float32)
+    buffers = scratch(table, len(inputs))
     for which in range(core, len(numbers), cores):
         packed = PackedLayers(numbers[which], table)
         for begin in range(first[which], first[which + 1], LANES):
-            end = min(begin + LANES, first[which + 1])
-            for i in range(len(inputs)):
-                for lane in range(end - begin):
-                    given[i, lane] = inputs[i, begin + lane]
-            run_layer(packed, 0, given, len(inputs), given, one[: table[0, 0]])
-            for layer in range(1, len(table)):
-                run_layer(packed, layer, one, table[layer - 1, 0], given, other[: table[layer, 0]])
-                one, other = other, one
-            for o in range(len(out)):
-                for lane in range(end - begin):
-                    out[o, begin + lane] = one[o, lane]
+            run_block(packed, inputs, begin, min(begin + LANES, first[which + 1]), buffers, out)
