@@ -14,6 +14,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 _ALLOWED = "; allowed: "  # separates what was found from what is allowed
@@ -129,6 +131,17 @@ class UsageError(NerfbakeError):
 
 class InvalidFile(NerfbakeError):
     """A file whose bytes are not valid in its format."""
+
+
+@contextmanager
+def within(name: str) -> Iterator[None]:
+    """Add the name of a file in a folder to the place of an InvalidFile error."""
+    try:
+        yield
+    except InvalidFile as error:
+        if error.source is None:
+            error.what = error.problem._replace(place=f"{name}: {error.problem.place}")
+        raise
 
 
 class InvalidScene(NerfbakeError):

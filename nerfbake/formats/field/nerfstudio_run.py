@@ -7,11 +7,9 @@ config.yml, dataparser_transforms.json    run_files.py reads them
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Protocol
 
-from nerfbake.errors import InvalidFile, Problem
+from nerfbake.errors import InvalidFile, Problem, within
 from nerfbake.formats.field.nerfstudio import field_of
 from nerfbake.formats.field.run_files import CONFIG, WORLD, RunFolder, read_run
 from nerfbake.scene.function_field import FunctionField
@@ -39,21 +37,10 @@ def decode(files: ListedFolder) -> FunctionField:
         raise InvalidFile(Problem(_MODELS, "has no checkpoint", "step-NUMBER.ckpt"))
     name = f"{_MODELS}/{max(steps)[1]}"
     run = read_run(files)
-    with _within(name):
+    with within(name):
         return field_of(files[name], run)
 
 
 def _steps(files: ListedFolder) -> list[tuple[int, str]]:
     found = [(match, name) for name in files.names(_MODELS) if (match := _STEP.fullmatch(name))]
     return [(int(match[1]), name) for match, name in found]
-
-
-@contextmanager
-def _within(name: str) -> Iterator[None]:
-    """Add the file name to the place of an InvalidFile error."""
-    try:
-        yield
-    except InvalidFile as error:
-        if error.source is None:
-            error.what = error.problem._replace(place=f"{name}: {error.problem.place}")
-        raise

@@ -25,14 +25,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
-from nerfbake.errors import InvalidFile, InvalidScene, Problem
+from nerfbake.errors import InvalidFile, InvalidScene, Problem, within
 from nerfbake.formats.field.dvgo import DvgoModel, colour_of
 from nerfbake.formats.field.torch_model import every_node
 from nerfbake.formats.volume import openvdb
@@ -263,7 +262,7 @@ def decode(files: Mapping[str, memoryview]) -> LatticeField:
     for name in (_MODEL, *((_ROWS, _TABLE) if merged else (_DENSITY, _COLOURS))):
         if name not in files:
             raise InvalidFile(Problem(name, "is missing", _ALLOWED))
-    with _within(_MODEL):
+    with within(_MODEL):
         model = DvgoModel(files[_MODEL])
         colour = colour_of(model)
     return _merged(files, model, colour) if merged else _plain(files, model, colour)
@@ -319,14 +318,14 @@ def _plain(files: Mapping[str, memoryview], model: DvgoModel, colour: Colour) ->
         files[_DENSITY],
         files[_COLOURS],
     )  # these count towards the memory limit while the folder is in memory
-    with _within(_DENSITY), memory.scope():
+    with within(_DENSITY), memory.scope():
         (tree,) = _trees(density_file, channels=1, one=True)
         shape = _filled_shape(tree, "the grid")
         density = _zeros(1, shape)
         _scatter(tree, density)
         del tree  # the memory of the scope
     memory.hold("density", density.nbytes)
-    with _within(_COLOURS), memory.scope():
+    with within(_COLOURS), memory.scope():
         trees = _trees(colour_file, channels=3)
         if 3 * len(trees) != colour.features:
             found = f"has {len(trees)} grids of 3 channels"
@@ -340,7 +339,7 @@ def _plain(files: Mapping[str, memoryview], model: DvgoModel, colour: Colour) ->
     memory.hold("colours", features.nbytes)
     rows = features.reshape(colour.features, -1).T  # each channel is contiguous, as in DirectVoxGO's checkpoint
     links = every_node(shape)
-    with _within(_MODEL):
+    with within(_MODEL):
         return model.lattice(links, density.reshape(-1), rows, colour, "PlenVDB")
 
 
@@ -349,11 +348,11 @@ def _merged(files: Mapping[str, memoryview], model: DvgoModel, colour: Colour) -
 
     The values at all other nodes are zero, and samples nearest to these nodes do not count.
     """
-    with _within(_MODEL):
+    with within(_MODEL):
         mask = model.mask()
         if mask is None:
             raise InvalidFile(Problem("model_state_dict", "has no mask_cache.mask", f"the mask that {_ROWS} refers to"))
-    with _within(_TABLE):
+    with within(_TABLE):
         table = NpzReader(files[_TABLE])
         den = table.shaped("den", "f", (None,))
         if not len(den):
@@ -364,9 +363,9 @@ def _merged(files: Mapping[str, memoryview], model: DvgoModel, colour: Colour) -
         if col.dtype != np.float16:
             memory.hold("col", 4 * col.size)
             col = cast(col, np.float32)
-    with _within(_ROWS):
+    with within(_ROWS):
         links = _links(files[_ROWS], mask, len(den) - 1)
-    with _within(_MODEL):
+    with within(_MODEL):
         return model.lattice(links, density, col, colour, "PlenVDB, merged")
 
 
@@ -463,14 +462,3 @@ def _shape_of(mask: Bits) -> Shape:
 
 def _text(place: Any) -> str:
     return f"({', '.join(str(int(each)) for each in place)})"
-
-
-@contextmanager
-def _within(name: str) -> Iterator[None]:
-    """Add the file name to the place of an InvalidFile error."""
-    try:
-        yield
-    except InvalidFile as error:
-        if error.source is None:
-            error.what = error.problem._replace(place=f"{name}: {error.problem.place}")
-        raise
