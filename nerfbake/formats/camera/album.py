@@ -51,6 +51,15 @@ class Posed(NamedTuple):
     lens: Lens | None = None
 
 
+class Intrinsic(NamedTuple):
+    """What several pictures have in common in files that list their lenses apart."""
+
+    size: Size
+    focal: tuple[float, float]
+    centre: tuple[float, float]
+    lens: Lens
+
+
 def cameras_of(
     posed: Sequence[Posed], *, dialect: str, source: str, notes: Sequence[str] = (), points: SparsePoints | None = None
 ) -> Cameras:

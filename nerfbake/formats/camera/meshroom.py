@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.camera.album import Album, Posed, cameras_of, edge_of, finite
-from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder, Size
+from nerfbake.formats.camera.album import Album, Intrinsic, Posed, cameras_of, edge_of, finite
+from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder
 from nerfbake.formats.camera.turns import pose_at
 from nerfbake.formats.wire.json import kind_of, parse_object, shorten
 from nerfbake.kernels.soundness import plural
@@ -46,13 +46,6 @@ _DISTORTIONS = {
     "brown": _Distortion("polynomial", 3, p=True),
     "fisheye4": _Distortion("fisheye", 4),
 }
-
-
-class _Intrinsic(NamedTuple):
-    size: Size
-    focal: tuple[float, float]
-    centre: tuple[float, float]
-    lens: Lens
 
 
 def recognise(name: str, head: bytes) -> bool:
@@ -126,7 +119,7 @@ def _number(fields: Mapping[str, Any], key: str, place: str, default: float | No
     return finite([str(value)], f"{place}.{key}")[0]
 
 
-def _intrinsic(fields: Mapping[str, Any], version: Sequence[int], place: str) -> _Intrinsic:
+def _intrinsic(fields: Mapping[str, Any], version: Sequence[int], place: str) -> Intrinsic:
     size = tuple(edge_of(_number(fields, key, place), f"{place}.{key}") for key in ("width", "height"))
     width, height = size
     kind = fields.get("distortionType", fields.get("type", "pinhole"))
@@ -158,7 +151,7 @@ def _intrinsic(fields: Mapping[str, Any], version: Sequence[int], place: str) ->
     if len(values) not in ({need} if need else range(7)):
         raise InvalidFile(Problem(f"{place}.distortionParams", f"are {len(values)}", f"{need} for {kind}"))
     p = (values[distortion.k], values[distortion.k + 1]) if distortion.p else (0.0, 0.0)
-    return _Intrinsic((width, height), (fx, fy), (x, y), Lens(distortion.model, tuple(values[: distortion.k]), p))
+    return Intrinsic((width, height), (fx, fy), (x, y), Lens(distortion.model, tuple(values[: distortion.k]), p))
 
 
 def _pose(fields: Mapping[str, Any], place: str) -> Any:

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.camera.album import Album, Posed, cameras_of, edge_of
-from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder, Size
+from nerfbake.formats.camera.album import Album, Intrinsic, Posed, cameras_of, edge_of
+from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder
 from nerfbake.formats.camera.turns import pose_at
 from nerfbake.formats.wire.json import kind_of, number, parse_object, shorten, table
 from nerfbake.kernels.soundness import plural
@@ -51,13 +51,6 @@ _CLASSES = {
     "pinhole_brown_t2": _Class("polynomial", "disto_t2", 3, p=True),
     "fisheye": _Class("fisheye", "fisheye", 4),
 }
-
-
-class _Intrinsic(NamedTuple):
-    size: Size
-    focal: tuple[float, float]
-    centre: tuple[float, float]
-    lens: Lens
 
 
 def recognise(name: str, head: bytes) -> bool:
@@ -121,7 +114,7 @@ def _id(view: Mapping[str, Any], key: str) -> int:
     return value if type(value) is int else -1
 
 
-def _intrinsics(fields: Mapping[str, Any], name: str) -> dict[Any, _Intrinsic]:
+def _intrinsics(fields: Mapping[str, Any], name: str) -> dict[Any, Intrinsic]:
     classes: dict[int, str] = {}
     found = {}
     for place, key, value in _entries(fields, "intrinsics", name):
@@ -136,7 +129,7 @@ def _intrinsics(fields: Mapping[str, Any], name: str) -> dict[Any, _Intrinsic]:
     return found
 
 
-def _intrinsic(data: Mapping[str, Any], kind: _Class, place: str) -> _Intrinsic:
+def _intrinsic(data: Mapping[str, Any], kind: _Class, place: str) -> Intrinsic:
     width, height = (edge_of(number(data, key, place), f"{place}.{key}") for key in ("width", "height"))
     focal = number(data, "focal_length", place)
     cx, cy = table(data.get("principal_point"), f"{place}.principal_point", (2,)).tolist()
@@ -144,7 +137,7 @@ def _intrinsic(data: Mapping[str, Any], kind: _Class, place: str) -> _Intrinsic:
     values = table(data.get(kind.field), f"{place}.{kind.field}", (need,)).tolist() if need else []
     p = (values[kind.k], values[kind.k + 1]) if kind.p else (0.0, 0.0)
     lens = Lens(kind.model, tuple(values[: kind.k]), p)
-    return _Intrinsic((width, height), (focal, focal), (cx + _HALF, cy + _HALF), lens)
+    return Intrinsic((width, height), (focal, focal), (cx + _HALF, cy + _HALF), lens)
 
 
 def _points(fields: Mapping[str, Any], numbers: Mapping[Any, int], name: str) -> SparsePoints | None:
