@@ -8,11 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerfbake import memory
 from nerfbake.kernels.arrays import Floats, Ints, Singles
 from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.fit import colours as kernels
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.views import Views
+
+_SHARE = 8  # targets are kept in one part of so many of the memory that is left
 
 
 class RayTargets(NamedTuple):
@@ -36,6 +39,47 @@ def ray_targets(views: Views, view: int, *, scale: int, samples: int, ring: int 
     The picture is first reduced by the factor `scale`. ring None returns all pixels. Pixels that views.used() excludes
     are left out. samples: rays along each edge of a pixel.
     """
+    return _with_rays(_pixels(views, view, scale, ring), samples)
+
+
+class KeptTargets:
+    """The rays and targets of views, as ray_targets() returns them: read-only, and computed once while memory allows.
+
+    `size`: the number of bytes that are kept, for one scale at a time.
+    """
+
+    def __init__(self, views: Views, *, ring: int | None) -> None:
+        self._views, self._ring, self._scale = views, ring, 0
+        self._kept: dict[int, _Pixels] = {}
+        self._room, self.size = memory.left() // _SHARE, 0
+
+    def of(self, view: int, *, scale: int, samples: int, keep: bool) -> RayTargets:
+        """Return the targets of a view. keep: they will be asked for again."""
+        if scale != self._scale:
+            self._kept, self.size, self._scale = {}, 0, scale
+        pixels = self._kept.get(view)
+        if pixels is None:
+            pixels = _pixels(self._views, view, scale, self._ring)
+            size = pixels.numbers.nbytes + pixels.targets.nbytes
+            if keep and self.size + size <= self._room:
+                self._kept[view] = pixels
+                self.size += size
+        return _with_rays(pixels, samples)
+
+    def give_up(self) -> None:
+        """Keep nothing from now on."""
+        self._kept, self.size, self._room = {}, 0, 0
+
+
+class _Pixels(NamedTuple):
+    """The pixels of a view that a fit uses. numbers, targets: as `pixels` and `targets` of RayTargets."""
+
+    camera: Camera
+    numbers: npt.NDArray[np.int32]
+    targets: Singles
+
+
+def _pixels(views: Views, view: int, scale: int, ring: int | None) -> _Pixels:
     camera, image = reduced_view(views, view, scale)
     if ring is not None:
         held = image[None, ..., 3] > 0
@@ -49,8 +93,12 @@ def ray_targets(views: Views, view: int, *, scale: int, samples: int, ring: int 
     pixels = np.empty(chosen.size, np.int32)
     found = kernels.number_pixels(np.ascontiguousarray(chosen), _tiles(camera.width, camera.height), pixels)
     pixels = pixels[:found].copy()
-    directions = _directions(camera, pixels, samples)
-    return RayTargets(camera.pose[:3, 3].copy(), pixels, image.reshape(-1, 4)[pixels], directions)
+    return _Pixels(camera, pixels, image.reshape(-1, 4)[pixels])
+
+
+def _with_rays(pixels: _Pixels, samples: int) -> RayTargets:
+    directions = _directions(pixels.camera, pixels.numbers, samples)
+    return RayTargets(pixels.camera.pose[:3, 3].copy(), pixels.numbers, pixels.targets, directions)
 
 
 def reduced_view(views: Views, view: int, scale: int) -> tuple[Camera, Singles]:

@@ -16,13 +16,14 @@ from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.kernels.fit.update import LearningRates, take_steps
 from nerfbake.kernels.march.sh import band_of
 from nerfbake.kernels.maths.elementary import exp, log, power
+from nerfbake.kernels.parallel import prefetched
 from nerfbake.kernels.picture.metrics import decibels
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.schedule import Rates, Schedule, Stage
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
 from nerfbake.stages._fit_state import GAINS, FitState, coefficients
-from nerfbake.stages._ray_targets import RayTargets, ray_targets
+from nerfbake.stages._ray_targets import KeptTargets, RayTargets, ray_targets
 from nerfbake.stages._scenery import close_wall, focus_distance, resolved, start_scenery, wall_of
 from nerfbake.stages.views_to_hull import find_solid, require_views
 
@@ -113,11 +114,15 @@ def continue_fit(
     pixels that counts in full, in the same stages. Raises InvalidScene, MemoryLimit.
     """
     batch = None
+    # Rough masks leave cells outside the object.
+    targets = KeptTargets(views, ring=None if views.scenery or views.rough else _RING)
+    visits = prefetched(_visits(state, len(views.pictures), targets))
+    weights = _Weights(focus_distance(views, state.box), point, distortion, most_mean=most_mean)
     while not state.done:
         if state.built < state.stage:
             batch = None  # frees its memory
             _rebuild(state, views)
-        batch = _visit(state, views, batch, _Weights(point, distortion, most_mean=most_mean))
+        batch = _visit(state, views, next(visits), batch, weights, targets)
         _count_on(state, len(views.pictures))
         if state.view == 0:
             batch = None  # frees its memory: the state may be measured now
@@ -130,10 +135,10 @@ def measure_state(state: FitState, views: Views, *, samples: int) -> float:
     samples: rays along each edge of a pixel. Unlike measure_views(), this needs no field, and no more memory than a
     step of the fit: colours are those in the direction of each cell's centre. Raises MemoryLimit.
     """
-    found, batch = [], None
-    for view in range(len(views.pictures)):
-        looks = ray_targets(views, view, scale=1, samples=samples, ring=None)
-        sums, batch = _marched(state, batch, looks, views, _Weights())
+    found, batch, weights = [], None, _Weights(focus_distance(views, state.box))
+    numbers = range(len(views.pictures))
+    for looks in prefetched(ray_targets(views, view, scale=1, samples=samples, ring=None) for view in numbers):
+        sums, batch = _marched(state, batch, looks, views, weights)
         found.append(decibels(float(sums[0]) / max(3 * len(looks.pixels), 1)))
         # Other tasks see the object in the next view: a new batch frees the memory of the rows that these have used.
         batch = new_batch(TASKS, batch.base.shape[1], batch.rows.shape[1])
@@ -143,6 +148,7 @@ def measure_state(state: FitState, views: Views, *, samples: int) -> float:
 class _Weights(NamedTuple):
     """Weights of the losses beside the colours of pixels, and the largest residuals that count in full. See FitView."""
 
+    focus: float
     point: float = 0.0
     distortion: float = 0.0
     most: float = np.inf
@@ -207,34 +213,59 @@ def _most_blamed(state: FitState, keep: Bits, share: float) -> Bits:
     return chosen & (blame >= 0)
 
 
-def _visit(state: FitState, views: Views, batch: TaskBuffers | None, weights: _Weights) -> TaskBuffers | None:
+class _Visited(NamedTuple):
+    """A view and its pixels, in the order in which the fit visits the views."""
+
+    view: int
+    looks: RayTargets
+
+
+def _visits(state: FitState, views: int, targets: KeptTargets) -> Iterator[_Visited]:
+    """Yield the visits from the state's position to the end of its schedule."""
+    schedule, seed, begin = state.schedule, state.seed, (state.stage, state.epoch, state.view)
+    for number, stage in enumerate(schedule):
+        for epoch in range(stage.epochs):
+            order = np.random.default_rng([seed, number, epoch]).permutation(views)
+            again = epoch + 1 < stage.epochs
+            for place in range(views):
+                if (number, epoch, place) >= begin:
+                    view = int(order[place])
+                    yield _Visited(view, targets.of(view, scale=stage.scale, samples=stage.rays, keep=again))
+
+
+def _visit(
+    state: FitState,
+    views: Views,
+    visited: _Visited,
+    batch: TaskBuffers | None,
+    weights: _Weights,
+    targets: KeptTargets,
+) -> TaskBuffers | None:
     """Render the pixels of one view, and update the cells."""
-    stage, cells = state.schedule[state.stage], state.cells
+    stage, cells, count = state.schedule[state.stage], state.cells, len(views.pictures)
     if state.view == 0:
         cells.seen[:, 1] = 0
-    order = np.random.default_rng([state.seed, state.stage, state.epoch]).permutation(len(views.pictures))
-    ring = None if views.scenery or views.rough else _RING  # rough masks leave cells outside the object
-    view = int(order[state.view])
-    looks = ray_targets(views, view, scale=stage.scale, samples=stage.rays, ring=ring)
+    view, looks = visited
     if not len(looks.pixels):
         return batch
     if len(state.gains):
-        ground = (1 - looks.targets[:, 3:]) * np.array(views.background, np.float32)
-        looks.targets[:, :3] = (looks.targets[:, :3] - ground) / state.gains[view].astype(np.float32) + ground
+        ground, wanted = (1 - looks.targets[:, 3:]) * np.array(views.background, np.float32), looks.targets.copy()
+        wanted[:, :3] = (wanted[:, :3] - ground) / state.gains[view].astype(np.float32) + ground
+        looks = looks._replace(targets=wanted)
     if views.scenery:
         weights = weights._replace(distortion=_DISTORTION)
     elif stage.cells < state.schedule.resolution:
         weights = weights._replace(distortion=0.0, most_mean=np.inf)
     else:
         # The loss measures places in distances to the middle of the box.
-        cells_away = focus_distance(views, state.box) * stage.cells / float((state.box[1] - state.box[0]).mean())
+        cells_away = weights.focus * stage.cells / float((state.box[1] - state.box[0]).mean())
         weights = weights._replace(distortion=weights.distortion * cells_away)
     if views.scenery or views.rough:
         weights = weights._replace(most=_MOST, most_mean=np.inf)
-    sums, batch = _marched(state, batch, looks, views, weights)
+    sums, batch = _marched(state, batch, looks, views, weights, targets)
     if len(state.gains) and state.stage:
         _adapt_gains(state, view, sums)
-    part = (state.epoch * len(order) + state.view) / max(stage.epochs * len(order) - 1, 1)
+    part = (state.epoch * count + state.view) / max(stage.epochs * count - 1, 1)
     parts, ridge = (np.array(each, np.float32)[band_of(cells.B)] for each in (_PARTS, _RIDGE))
     rates = _rate(stage.density, part), _rate(stage.colour, part)
     steps = LearningRates(*rates, parts, ridge, float(stage.rays**2))
@@ -271,12 +302,19 @@ def _rate(rates: Rates, part: float) -> float:
 
 
 def _marched(
-    state: FitState, batch: TaskBuffers | None, looks: RayTargets, views: Views, weights: _Weights
+    state: FitState,
+    batch: TaskBuffers | None,
+    looks: RayTargets,
+    views: Views,
+    weights: _Weights,
+    targets: KeptTargets | None = None,
 ) -> tuple[Floats, TaskBuffers]:
-    """Render a view's pixels. Returns the sums of march_view(), and a larger batch if the view needs one."""
+    """Render a view's pixels. Returns the sums of march_view(), and a larger batch if the view needs one.
+
+    targets: are given up if the batch needs their memory.
+    """
     bricks, sums = state.cells.bricks, np.zeros((TASKS, SUMS))
-    background, focus = np.array(views.background, np.float32), focus_distance(views, state.box)
-    alpha = 0.0
+    background, alpha = np.array(views.background, np.float32), 0.0
     if views.masked and not views.scenery:
         alpha = _ROUGH_ALPHA if views.rough else _ALPHA
     view = FitView(
@@ -287,7 +325,7 @@ def _marched(
         alpha,
         weights.point,
         weights.distortion,
-        focus,
+        weights.focus,
         weights.most,
         weights.most_mean,
     )
@@ -295,6 +333,8 @@ def _marched(
     while True:
         if batch is None:
             size = TASKS * capacity * ROW * 4 + 4 * len(bricks.values)
+            if targets is not None and memory.left() < size + targets.size:
+                targets.give_up()
             memory.require(f"fitting {len(bricks.places):,} cells", size)
             batch = new_batch(TASKS, len(bricks.slots), capacity)
         march_view(bricks, batch, view, sums)

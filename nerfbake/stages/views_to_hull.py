@@ -9,11 +9,12 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Points
 from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.fit.hull import TASKS, mark_clear
+from nerfbake.kernels.parallel import prefetched
 from nerfbake.scene.basis import Basis
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_solid, field_of_cells
-from nerfbake.stages._ray_targets import ray_targets
+from nerfbake.stages._ray_targets import KeptTargets, RayTargets
 
 MIN_VIEWS = 2
 _EDGE = 128  # approximate number of pixels along a silhouette's shorter edge
@@ -51,31 +52,26 @@ def require_views(views: Views) -> None:
 
 def find_solid(views: Views, box: Points | None, resolution: int) -> tuple[Bits, Points]:
     """Return the visual hull (R, R, R) bool, and its box; `box` None searches the box."""
+    targets = KeptTargets(views, ring=None)
     if box is not None:
-        return _carved(views, box, resolution), box
+        return _carved(views, targets, box, resolution), box
     box = _common_cube(views)
     for _ in range(_ROUNDS):
-        solid = _carved(views, box, _SEARCH)
+        solid = _carved(views, targets, box, _SEARCH)
         held, size = np.argwhere(solid), (box[1] - box[0]) / _SEARCH
         low, high = np.maximum(held.min(axis=0) - 1, 0), np.minimum(held.max(axis=0) + 2, _SEARCH)
         box = np.stack([box[0] + low * size, box[0] + high * size])
         if (high - low >= _SEARCH - 2).all():
             break
-    return _carved(views, box, resolution), box
+    return _carved(views, targets, box, resolution), box
 
 
-def _carved(views: Views, box: Points, R: int) -> Bits:
+def _carved(views: Views, targets: KeptTargets, box: Points, R: int) -> Bits:
     memory.require(f"a hull of {R}^3 cells", _CELL_BYTES * R**3)
     size = (box[1] - box[0]) / R
     met = np.empty((TASKS, R, R, R), np.uint8)
     clear, inside = np.zeros((R,) * 3, np.uint16), np.zeros((R,) * 3, np.uint16)
-    for view, camera in enumerate(views.cameras.cameras):
-        scale = max(1, min(camera.width, camera.height) // _EDGE)
-        looks = ray_targets(views, view, scale=scale, samples=1, ring=None)
-        own = camera.reduced(scale)
-        held = np.zeros((1, own.height, own.width), bool)
-        held.flat[looks.pixels] = looks.targets[:, 3] > 0
-        held = dilated(held).reshape(-1)[looks.pixels]  # pixels next to an object may still belong to it
+    for looks, held in prefetched(_silhouette(views, targets, view) for view in range(len(views.pictures))):
         mark_clear(box[0].copy(), size, looks.eye, looks.directions, held, met, clear, inside)
     exact = views.masked and not views.rough
     witnesses = 1 if exact else min(_WITNESSES, max(len(views.pictures) // 2, 1))
@@ -88,6 +84,16 @@ def _carved(views: Views, box: Points, R: int) -> Bits:
         )
         raise InvalidScene(Problem("views", found, "cameras around one object, in the box"))
     return np.asarray(solid)
+
+
+def _silhouette(views: Views, targets: KeptTargets, view: int) -> tuple[RayTargets, Bits]:
+    """Return the pixels of a view, and whether each may belong to the object."""
+    camera = views.cameras.cameras[view]
+    scale = max(1, min(camera.width, camera.height) // _EDGE)
+    looks, own = targets.of(view, scale=scale, samples=1, keep=True), camera.reduced(scale)
+    held = np.zeros((1, own.height, own.width), bool)
+    held.flat[looks.pixels] = looks.targets[:, 3] > 0
+    return looks, dilated(held).reshape(-1)[looks.pixels]  # pixels next to an object may still belong to it
 
 
 def _common_cube(views: Views) -> Points:

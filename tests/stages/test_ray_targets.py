@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from nerfbake import Views, build_field, fit_field, memory_limit, orbit_cameras, render_field, sample_n3tree
+from nerfbake.scene.packed_pictures import PackedPictures
+from nerfbake.scene.schedule import parse_schedule
+from nerfbake.stages._ray_targets import KeptTargets, RayTargets, ray_targets
+from nerfbake.stages.views_to_field import FitState
+
+
+@pytest.fixture(scope="module")
+def views() -> Views:
+    scene = build_field(sample_n3tree(resolution=8))
+    cameras = orbit_cameras(scene, frames=3, width=24, height=16)
+    pictures = [render_field(scene, camera, background=None).pixels for camera in cameras.cameras]
+    return Views(cameras, PackedPictures.of(pictures), (1.0, 1.0, 1.0), True)
+
+
+def same(a: RayTargets, b: RayTargets) -> bool:
+    return all(np.array_equal(one, other) for one, other in zip(a, b, strict=True))
+
+
+@pytest.mark.parametrize("ring", [None, 1])
+def test_kept_targets_are_those_of_the_picture_at_every_scale(views: Views, ring: int | None) -> None:
+    kept = KeptTargets(views, ring=ring)
+    for scale, samples in ((2, 1), (2, 1), (2, 2), (1, 2), (2, 1)):
+        for view in (2, 0, 1):
+            fresh = ray_targets(views, view, scale=scale, samples=samples, ring=ring)
+            assert same(kept.of(view, scale=scale, samples=samples, keep=True), fresh)
+
+
+def test_targets_are_computed_once_as_long_as_they_fit(views: Views, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[int] = []
+    unpack = PackedPictures.__getitem__
+    monkeypatch.setattr(PackedPictures, "__getitem__", lambda self, k: (read.append(k), unpack(self, k))[1])
+
+    def visited(kept: KeptTargets, *, keep: bool = True) -> list[int]:
+        read.clear()
+        for view in (0, 1, 2):
+            kept.of(view, scale=1, samples=1, keep=keep)
+        return list(read)
+
+    kept = KeptTargets(views, ring=None)
+    assert visited(kept, keep=False) == [0, 1, 2]
+    assert visited(kept) == [0, 1, 2]
+    assert visited(kept) == []
+    assert kept.size == 3 * 24 * 16 * 20
+    kept.give_up()
+    assert visited(kept) == [0, 1, 2]
+    assert (visited(kept), kept.size) == ([0, 1, 2], 0)
+    with memory_limit(8 * 24 * 16 * 20):
+        kept = KeptTargets(views, ring=None)
+        visited(kept)
+        assert visited(kept) == [1, 2]
+
+
+def test_a_fit_that_keeps_targets_has_the_bytes_of_one_that_keeps_none(
+    views: Views, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fitted() -> FitState:
+        *_, state = fit_field(views, schedule=parse_schedule("cells=8,epochs=3"), basis="SH1", exposure=True)
+        return state
+
+    first = fitted()
+    monkeypatch.setattr("nerfbake.stages._ray_targets._SHARE", 1 << 40)
+    second = fitted()
+    assert_array_equal(first.gains, second.gains)
+    assert_array_equal(first.field().values, second.field().values)
+    assert np.ptp(first.gains) > 0
