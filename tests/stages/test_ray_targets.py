@@ -61,7 +61,7 @@ def test_a_fit_that_keeps_targets_has_the_bytes_of_one_that_keeps_none(
     views: Views, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fitted() -> FitState:
-        *_, state = fit_field(views, schedule=parse_schedule("cells=8,epochs=3"), basis="SH1", exposure=True)
+        *_, state = fit_field(views, schedule=parse_schedule("cells=8,epochs=1/cells=16,epochs=2"), basis="SH1", exposure=True)
         return state
 
     first = fitted()
