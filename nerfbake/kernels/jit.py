@@ -9,6 +9,7 @@ writable, or the disk is full, every run compiles. Compiled kernels release the 
 from __future__ import annotations
 
 from collections.abc import Callable
+from threading import Lock
 from typing import Any, Literal, TypeVar, cast
 
 import numba
@@ -95,3 +96,26 @@ def _borrowed(typing: Any, held: Any) -> Any:
 
 
 borrowed: Any = (lambda held: held) if numba.config.DISABLE_JIT else intrinsic(_borrowed)  # type: ignore[attr-defined]
+
+
+def _next_task(typing: Any, turn: Any) -> Any:
+    """next_task(turn): add one to the only number of an array (1,) int64, and return what it was before.
+
+    Of several threads, each gets a number of its own.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        return builder.atomic_rmw("add", array.data, context.get_constant(types.int64, 1), "monotonic")
+
+    return types.int64(turn), generate
+
+
+def _next_of_threads(turn: Any) -> int:
+    with _taking:
+        turn[0] += 1
+        return int(turn[0]) - 1
+
+
+_taking = Lock()
+next_task: Any = _next_of_threads if numba.config.DISABLE_JIT else intrinsic(_next_task)  # type: ignore[attr-defined]

@@ -1,12 +1,22 @@
-"""Run work in chunks on every core. NumPy releases the GIL while it copies and adds."""
+"""Run work in chunks on every core. NumPy releases the GIL while it copies and adds.
+
+One pool of threads does the work of all loops. The caller of a loop works, too, and never waits for a chunk that no
+thread has begun. So loops may be nested, and end if all threads of the pool are busy or no thread can be started.
+"""
 
 from __future__ import annotations
 
+import atexit
 import os
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import wraps
-from threading import Semaphore, Thread
+from queue import SimpleQueue
+from threading import Lock, Semaphore, Thread
 from typing import Concatenate, ParamSpec, TypeVar
+
+import numpy as np
+
+from nerfbake.kernels.arrays import Ints
 
 Arguments = ParamSpec("Arguments")
 Item = TypeVar("Item")
@@ -23,8 +33,8 @@ def cores() -> int:
 def on_every_core(kernel: Callable[Concatenate[int, int, Arguments], None]) -> Callable[Arguments, None]:
     """Make a compiled kernel(core, cores, ...) a function that runs it on every core at once.
 
-    core is 0 .. cores - 1. Where tasks are large or take different times, a kernel does the tasks range(core, count,
-    cores). Where they are small, it does those of part_of(): neighbours in memory.
+    core is 0 .. cores - 1. A kernel does the tasks range(core, count, cores), or, where they are small, those of
+    part_of(): neighbours in memory. Where they are large or take different times, use taken_in_turn().
 
     Numba's own parallel loops are not used: their kernels take 1.4 to 4 times as long to compile.
     """
@@ -37,56 +47,163 @@ def on_every_core(kernel: Callable[Concatenate[int, int, Arguments], None]) -> C
     return run
 
 
+class _Shared:
+    """Tasks that threads take in turn. The first error ends them; `errors` has it first."""
+
+    def __init__(self, work: Callable[[int], None], tasks: Iterable[int]) -> None:
+        self.errors: list[BaseException] = []
+        self._work, self._tasks = work, iter(tasks)
+        self._helpers, self._closed = 0, False
+        self._lock, self._alone = Lock(), Lock()
+        self._alone.acquire()
+
+    def run(self) -> None:
+        """Do tasks until none is left."""
+        try:
+            while not self.errors:
+                with self._lock:
+                    task = next(self._tasks, None)
+                if task is None:
+                    return
+                self._work(task)
+        except BaseException as error:
+            self.errors.append(error)
+
+    def help(self) -> None:
+        """Do tasks in a thread of the pool, unless the caller has finished."""
+        with self._lock:
+            if self._closed:
+                return
+            self._helpers += 1
+        self.run()
+        with self._lock:
+            self._helpers -= 1
+            if self._closed and not self._helpers:
+                self._alone.release()
+
+    def finish(self) -> None:
+        """Begin no further tasks, and wait for those that other threads have begun. Ctrl-C does not end the wait."""
+        while True:
+            try:
+                with self._lock:
+                    self._closed, self._tasks = True, iter(())
+                while self._helpers:
+                    self._alone.acquire()
+                break
+            except BaseException as error:
+                self.errors.append(error)
+        del self._work  # the queue may still hold invitations
+
+    def raise_first(self) -> None:
+        if self.errors:
+            raise self.errors[0]
+
+
+class _Pool:
+    """Threads that wait for work until the process ends. There are as many as were ever asked for at once."""
+
+    def __init__(self) -> None:
+        self._invitations: SimpleQueue[_Shared | None] = SimpleQueue()
+        self._threads: list[Thread] = []
+        self._lock, self._open = Lock(), True
+
+    def invite(self, shared: _Shared, helpers: int) -> None:
+        """Ask threads to help; those that are busy come later."""
+        if helpers > len(self._threads):
+            self._grow(helpers)
+        for _ in range(min(helpers, len(self._threads))):
+            self._invitations.put(shared)
+
+    def _grow(self, count: int) -> None:
+        with self._lock:
+            while self._open and len(self._threads) < count:
+                thread = Thread(target=self._serve, name="nerfbake", daemon=True)
+                try:
+                    thread.start()
+                except RuntimeError:  # the operating system allows no more: the others do the work
+                    return
+                self._threads.append(thread)
+
+    def _serve(self) -> None:
+        while (shared := self._invitations.get()) is not None:
+            shared.help()
+            del shared  # frees the results of the work while the thread waits
+
+    def close(self) -> None:
+        """End the threads. Python ends while threads that it does not wait for still run compiled code."""
+        with self._lock:
+            self._open = False
+        for _ in self._threads:
+            self._invitations.put(None)
+        for thread in self._threads:
+            thread.join()
+
+
+_pool = _Pool()
+
+
+def _renew() -> None:
+    """Start anew in the child of a fork, which has none of the threads."""
+    global _pool
+    _pool = _Pool()
+
+
+atexit.register(lambda: _pool.close())
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew)
+
+
+def taken_in_turn(kernel: Callable[Concatenate[Ints, Arguments], None]) -> Callable[Arguments, None]:
+    """Make a compiled kernel(turn, ...) a function that runs it on every core at once.
+
+    The kernel does the tasks whose numbers next_task(turn) returns, until that is the number of tasks.
+    """
+
+    @wraps(kernel)
+    def run(*arguments: Arguments.args, **named: Arguments.kwargs) -> None:
+        turn = np.zeros(1, np.int64)
+        over_chunks(lambda *_: kernel(turn, *arguments, **named), cores(), 1)
+
+    return run
+
+
 def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> None:
-    """Call work(begin, end) for every chunk of 0 .. count, distributed over the cores.
+    """Call work(begin, end) for every chunk of 0 .. count; the cores take the chunks in turn.
 
     Each chunk must write to a separate part of the output; the result then does not depend on the number of cores. The
     first error stops the other threads and is raised here.
     """
     starts = range(0, count, chunk)
-    threads = max(1, min(len(starts), cores()))
-    errors: list[BaseException] = []
-
-    def run(own: range) -> None:
-        try:
-            for start in own:
-                if not errors:
-                    work(start, min(start + chunk, count))
-        except BaseException as error:
-            errors.append(error)
-
-    others = [Thread(target=run, args=(starts[k::threads],)) for k in range(1, threads)]
-    for thread in others:
-        thread.start()
-    run(starts[::threads])
-    for thread in others:
-        thread.join()
-    if errors:
-        raise errors[0]
+    shared = _Shared(lambda start: work(start, min(start + chunk, count)), starts)
+    try:
+        _pool.invite(shared, min(len(starts), cores()) - 1)
+        shared.run()
+    finally:
+        shared.finish()
+    shared.raise_first()
 
 
 def prefetched(items: Iterable[Item]) -> Generator[Item]:
-    """Yield the same items. Each item is computed while the caller uses the previous one."""
+    """Yield the same items. Each item is computed while the caller uses the previous one, if there are two cores."""
     source, made = iter(items), list[Item]()
-    errors: list[BaseException] = []
-
-    def make() -> None:
-        try:
-            made.append(next(source))
-        except BaseException as error:
-            errors.append(error)
-
-    make()
+    made.extend(_some(source))
     while made:
         item = made.pop()
-        maker = Thread(target=make)
-        maker.start()
+        ahead = _Shared(lambda _: made.extend(_some(source)), range(1))
         try:
+            _pool.invite(ahead, min(cores() - 1, 1))
             yield item
+            ahead.run()
         finally:
-            maker.join()
-    if not isinstance(errors[0], StopIteration):
-        raise errors[0]
+            ahead.finish()
+        ahead.raise_first()
+
+
+def _some(source: Iterator[Item]) -> list[Item]:
+    """Return the next item in a list, or an empty list at the end."""
+    for item in source:
+        return [item]
+    return []
 
 
 def run_in_turn(work: Callable[[int, int, int], None], runners: int, count: int, chunk: int) -> None:

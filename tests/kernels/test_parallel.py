@@ -1,14 +1,20 @@
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
+from threading import Barrier, Event, Thread, active_count, current_thread, main_thread
+from time import sleep
 
 import numpy as np
 import pytest
 
 from nerfbake.kernels import parallel
 from nerfbake.kernels.arrays import Ints
-from nerfbake.kernels.jit import compiled, part_of
+from nerfbake.kernels.jit import compiled, next_task, part_of
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 100])
@@ -55,13 +61,153 @@ def _do(core: int, cores: int, tasks: Ints, rows: Ints, took: Ints) -> None:
     took[core] = end - begin
 
 
-def test_an_error_in_any_thread_is_raised() -> None:
+@pytest.mark.parametrize("count", [0, 1, 7, 1000])
+@pytest.mark.parametrize("cores", ["1", "3", "8"])
+def test_each_task_is_taken_once(count: int, cores: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_NUM_THREADS", cores)
+    tasks = np.zeros(count, int)
+    _take(tasks)
+    assert (tasks == 1).all()
+
+
+@parallel.taken_in_turn
+@compiled()
+def _take(turn: Ints, tasks: Ints) -> None:
+    while True:
+        task = next_task(turn)
+        if task >= len(tasks):
+            break
+        tasks[task] += 1
+
+
+def test_an_error_in_any_thread_is_raised_and_the_pool_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
+
     def work(begin: int, end: int) -> None:
         if begin == 30:
             raise ValueError(f"{begin} to {end}")
 
-    with pytest.raises(ValueError, match="30 to 40"):
-        parallel.over_chunks(work, 100, 10)
+    for _ in range(20):
+        with pytest.raises(ValueError, match="30 to 40"):
+            parallel.over_chunks(work, 100, 10)
+    assert _sum_of_parts(1000) == sum(range(1000))
+
+
+def _sum_of_parts(count: int) -> int:
+    found = np.zeros(count, int)
+
+    def work(begin: int, end: int) -> None:
+        found[begin:end] = range(begin, end)
+
+    parallel.over_chunks(work, count, 7)
+    return int(found.sum())
+
+
+def test_no_thread_works_on_after_an_error_or_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 2)
+    both, ended = Barrier(2), Event()
+
+    def work(begin: int, _: int) -> None:
+        if current_thread() is not main_thread():
+            both.wait(10)
+            sleep(0.05)
+            ended.set()
+        elif not ended.is_set():
+            both.wait(10)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        parallel.over_chunks(work, 2, 1)
+    assert ended.is_set()
+
+
+def test_ctrl_c_while_the_other_threads_finish_is_raised_after_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 2)
+    both, ended = Barrier(2), Event()
+
+    def work(begin: int, _: int) -> None:
+        both.wait(10)
+        if current_thread() is not main_thread():
+            sleep(0.02)
+            os.kill(os.getpid(), signal.SIGINT)
+            sleep(0.05)
+            ended.set()
+
+    with pytest.raises(KeyboardInterrupt):
+        parallel.over_chunks(work, 2, 1)
+    assert ended.is_set()
+
+
+def test_loops_within_loops_and_beside_each_other_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
+    expected, found = _sum_of_parts(100), list[int]()
+
+    def outer(begin: int, end: int) -> None:
+        for _ in range(begin, end):
+            found.extend(parallel.prefetched(_sum_of_parts(100) for _ in range(3)))
+
+    others = [Thread(target=parallel.over_chunks, args=(outer, 20, 1)) for _ in range(3)]
+    for thread in others:
+        thread.start()
+    for thread in others:
+        thread.join(30)
+        assert not thread.is_alive()
+    assert found == [expected] * 180
+
+
+def test_the_threads_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
+    _sum_of_parts(100)
+    before = active_count()
+    for _ in range(50):
+        _sum_of_parts(100)
+    assert active_count() == before
+
+
+def test_without_further_threads_the_caller_does_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(self: Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("nerfbake.kernels.parallel._pool", parallel._Pool())
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
+    monkeypatch.setattr(Thread, "start", refused)
+    assert _sum_of_parts(100) == sum(range(100))
+    assert list(parallel.prefetched([_sum_of_parts(10), 2])) == [45, 2]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="a fork")
+def test_the_child_of_a_fork_has_threads_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
+    expected = _sum_of_parts(1000)
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        assert pool.map_async(_sum_of_parts, [1000] * 4).get(30) == [expected] * 4
+        assert pool.map_async(_helped_by_threads, [0]).get(30) == [True]
+    assert _sum_of_parts(1000) == expected
+
+
+def _helped_by_threads(_: int) -> bool:
+    """Return whether two threads work at the same time."""
+    both = Barrier(2)
+
+    def meet(begin: int, end: int) -> None:
+        both.wait(10)
+
+    parallel.over_chunks(meet, 2, 1)
+    return True
+
+
+def test_a_process_ends_while_an_item_is_made_ahead() -> None:
+    program = (
+        "from nerfbake.kernels import parallel\n"
+        "from time import sleep\n"
+        "ahead = parallel.prefetched(sleep(0.1) for _ in range(3))\n"
+        "next(ahead)\n"
+        "parallel.over_chunks(lambda *_: None, 5, 1)\n"
+        "keep = [ahead]; keep.append(keep)\n"
+    )
+    environment = {**os.environ, "NUMBA_NUM_THREADS": "2"}
+    found = subprocess.run([sys.executable, "-c", program], env=environment, timeout=30, capture_output=True)
+    assert (found.returncode, found.stderr) == (0, b"")
 
 
 def test_items_made_ahead_come_in_order_with_the_error_behind_them() -> None:
@@ -87,4 +233,4 @@ def test_no_more_than_one_item_is_made_ahead() -> None:
     ahead = parallel.prefetched(items())
     assert [next(ahead), next(ahead)] == [0, 1]
     ahead.close()
-    assert made == [0, 1, 2]
+    assert made in ([0, 1], [0, 1, 2])

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -20,7 +22,7 @@ def views() -> Views:
 
 
 def same(a: RayTargets, b: RayTargets) -> bool:
-    return all(np.array_equal(one, other) for one, other in zip(a, b, strict=True))
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in RayTargets._fields)
 
 
 @pytest.mark.parametrize("ring", [None, 1])
@@ -35,7 +37,12 @@ def test_kept_targets_are_those_of_the_picture_at_every_scale(views: Views, ring
 def test_targets_are_computed_once_as_long_as_they_fit(views: Views, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[int] = []
     unpack = PackedPictures.__getitem__
-    monkeypatch.setattr(PackedPictures, "__getitem__", lambda self, k: (read.append(k), unpack(self, k))[1])
+
+    def noted(self: PackedPictures, number: int) -> Any:
+        read.append(number)
+        return unpack(self, number)
+
+    monkeypatch.setattr(PackedPictures, "__getitem__", noted)
 
     def visited(kept: KeptTargets, *, keep: bool = True) -> list[int]:
         read.clear()
@@ -61,7 +68,9 @@ def test_a_fit_that_keeps_targets_has_the_bytes_of_one_that_keeps_none(
     views: Views, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fitted() -> FitState:
-        *_, state = fit_field(views, schedule=parse_schedule("cells=8,epochs=1/cells=16,epochs=2"), basis="SH1", exposure=True)
+        *_, state = fit_field(
+            views, schedule=parse_schedule("cells=8,epochs=1/cells=16,epochs=2"), basis="SH1", exposure=True
+        )
         return state
 
     first = fitted()

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.arrays import Floats, Ints, Singles
 from nerfbake.kernels.fit.bricks import (
     BLAME,
     COLOUR_SUM,
@@ -24,10 +24,10 @@ from nerfbake.kernels.fit.bricks import (
 from nerfbake.kernels.fit.colours import fill_brick_rows, new_colour_buffer
 from nerfbake.kernels.fit.corners import between, corner_rows, density_of_raw, fill_corner_rows
 from nerfbake.kernels.fit.hull import part_between
-from nerfbake.kernels.jit import borrowed, compiled, part_of
+from nerfbake.kernels.jit import borrowed, compiled, next_task, part_of
 from nerfbake.kernels.march.lines import cell_at, containing_cell, exits, line_of, next_cell
 from nerfbake.kernels.maths.elementary import exp
-from nerfbake.kernels.parallel import on_every_core
+from nerfbake.kernels.parallel import taken_in_turn
 
 SUMS = 7
 OPAQUE = 0.01  # transmittance below which a ray stops
@@ -100,18 +100,17 @@ def march_view(bricks: BrickGrid, batch: TaskBuffers, view: FitView, sums: Float
 # Arrays are passed in tuples and read from there: for an array that is an argument, or a view of another array, each
 # call counts references, and threads wait for each other at every count. The loop over tasks is not a separate kernel:
 # then everything that it calls would be compiled twice.
-@on_every_core
+@taken_in_turn
 @compiled()
 def _march_view(
-    core: int,
-    cores: int,
+    turn: Ints,
     bricks: BrickGrid,
     batch: TaskBuffers,
     view: FitView,
     kind: tuple[int, ...],
     sums: Floats,
 ) -> None:
-    """Do the tasks of a core, which are spread over the picture, so all cores have equal work."""
+    """Do tasks, which take different times: each is a part of the picture."""
     bricks, batch, view = borrowed((bricks, batch, view))
     tasks, pixels = batch.base.shape[0], len(view.targets)
     rays = len(view.directions) // max(pixels, 1)
@@ -131,7 +130,10 @@ def _march_view(
         np.empty(len(bricks.low)),
     )
     ends = np.zeros(rays + 1, np.int64)
-    for task in range(core, tasks, cores):
+    while True:
+        task = next_task(turn)
+        if task >= tasks:
+            break
         batch.used[task] = 0
         batch.base[task, :] = UNMET
         sums[task, :] = 0

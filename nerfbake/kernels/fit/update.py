@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.arrays import Floats, Ints, Singles
 from nerfbake.kernels.fit.bricks import (
     BLAME,
     COLOUR_SUM,
@@ -22,8 +22,8 @@ from nerfbake.kernels.fit.bricks import (
 )
 from nerfbake.kernels.fit.colours import evaluate_basis, new_colour_buffer
 from nerfbake.kernels.fit.corners import LEAST_RAW, MOST_RAW, corner_rows
-from nerfbake.kernels.jit import borrowed, compiled, part_of
-from nerfbake.kernels.parallel import on_every_core
+from nerfbake.kernels.jit import borrowed, compiled, next_task, part_of
+from nerfbake.kernels.parallel import on_every_core, taken_in_turn
 
 DECAY = 0.9  # of the moving means
 FADE = 0.95  # of the largest weight, at every view that hits the cell
@@ -31,7 +31,7 @@ _CORNER_RATE = 4.0  # of the rate of the densities of cells (docs/tuning.md)
 _CURVATURE_FLOOR, _WEIGHT_FLOOR = 1e-3, 1e-2
 _SLOPE_FLOOR = 0.15  # of the sigmoid, whose slope is at most a quarter
 _SUMS = 8  # numbers of a row that are summed, from COLOUR_SUM on
-_BLOCK = 512  # places of bricks that a core processes before it takes the next block
+_BLOCK = 32  # places of bricks that a core processes before it takes the next block
 
 
 class LearningRates(NamedTuple):
@@ -61,11 +61,10 @@ def take_steps(
         step_corners(bricks.corners, steps.density)
 
 
-@on_every_core
+@taken_in_turn
 @compiled()
 def _step_cells(
-    core: int,
-    cores: int,
+    turn: Ints,
     bricks: BrickGrid,
     batch: TaskBuffers,
     eye: Floats,
@@ -76,7 +75,10 @@ def _step_cells(
     bricks, batch, eye, means, seen, steps = borrowed((bricks, batch, eye, means, seen, steps))
     r, places, B, smooth = bricks.top.shape[1], bricks.top.size, len(steps.ridge), len(bricks.corners.raw) > 0
     sums, room = np.empty((_SUMS + 3, SIZE), np.float32), new_colour_buffer(B)
-    for block in range(core, (places + _BLOCK - 1) // _BLOCK, cores):
+    while True:
+        block = next_task(turn)
+        if block * _BLOCK >= places:
+            break
         for place in range(block * _BLOCK, min((block + 1) * _BLOCK, places)):
             shell, at0, at1, at2 = place // (r * r * r), place // (r * r) % r, place // r % r, place % r
             brick = np.int64(bricks.top[shell * r + at0, at1, at2])
