@@ -23,10 +23,12 @@ from nerfbake.cli.params import (
     without_effect,
 )
 from nerfbake.cli.paths import Reads
+from nerfbake.cli.splat_files import splat_file_options
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:
+    from nerfbake.jobs.splat_choice import SplatChoice
     from nerfbake.jobs.splat_parts import SplatParts
     from nerfbake.jobs.splats import SplatsResult
 
@@ -68,6 +70,13 @@ class SplatCount(ParamType[int]):
     ),
     click.option("--largest", is_flag=True, help="Keep the largest connected part (splats only)."),
 )
+@click.option(
+    "--in-up",
+    type=click.Choice(["y", "z", "-y", "-z", "x", "-x"]),
+    help="Axis of IN that points up: it becomes the up axis of OUT. -y: keep the world of IN, for its cameras and "
+    "`nerfbake compare`.  [default: z; of splats, keep their world]",
+)
+@splat_file_options
 @training_picture_options("Photographs that OUT is fitted to", "jobs.splats.SplatsViews")
 @click.option(
     "--epochs",
@@ -92,6 +101,7 @@ def splats(
     count: int | None,
     parts: SplatParts,
     epochs: int,
+    splats: SplatChoice,
     seed: int,
     as_json: bool,
     console: Console,
@@ -106,10 +116,13 @@ def splats(
     If IN is splats, several of them are joined as they are, then cut, and neighbours are merged until --count are
     left, which are fitted to the same pictures. If none are merged, they are fitted to photographs alone.
 
+    Splats of a field stand upright in OUT: z of the field becomes the up axis of the format.
+
     \b
       nerfbake splats chair.npz chair.spz
       nerfbake splats chair.npz chair.ply --count 50k --epochs 5
       nerfbake splats chair.npz chair.spz --views photographs --min-psnr 34
+      nerfbake splats chair.npz chair.ply --in-up=-y
       nerfbake splats scene.ply small.spz --count 100k --floaters
       nerfbake splats room.ply table.ply both.spz --box=-2,-2,-2,2,2,2
     """
@@ -127,6 +140,7 @@ def splats(
         [Source(path) for path in source],
         target,
         options=SplatsOptions(splats=count, parts=parts, epochs=epochs, seed=seed),
+        choice=splats,
         steps=console,
         report=report,
         **options,

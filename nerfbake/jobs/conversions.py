@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, Literal
 
 from nerfbake import catalog, io, memory
 from nerfbake.errors import UsageError
@@ -17,13 +17,14 @@ from nerfbake.jobs.grids import GridChoice, warn_about_halves
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.upright import require_up, turned_up
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.origin import lost_origin, no_origin
-from nerfbake.scene.splats import UPS, Splats, Up
+from nerfbake.scene.splats import Splats
 from nerfbake.scene.volume import Volume
 
 if TYPE_CHECKING:
@@ -187,8 +188,7 @@ def _convert_stage(
 
 def _require_splats(target: Target, in_up: str | None, choice: SplatChoice) -> catalog.Format:
     """Return the format to write. Call it before doing any work. Raises NerfbakeError."""
-    if in_up not in (None, *UPS):
-        raise UsageError(f"`in_up` is {in_up!r}; allowed: {', '.join(UPS)}")
+    require_up(in_up)
     return target.require("Splats", **choice.of_format)
 
 
@@ -208,10 +208,7 @@ def _write_splats(
     splats = choice.read(steps, source, read)
     with source.blamed(steps, "checking the splats"):
         splats.require_usable()
-    if in_up is not None:
-        splats = splats.with_up(cast(Up, in_up))
-    elif splats.up not in (None, "-y"):
-        steps.say(f"{source.name}: {splats.up} points up, as the file says; only `in_up={splats.up}` turns the splats")
+    splats = turned_up(steps, source, splats, require_up(in_up))
     if splats.origin.any() and not module.KEEPS_ORIGIN:
         steps.say(f"{target.name}: {lost_origin(splats.origin, form.suffix)}")
         splats = replace(splats, origin=no_origin())

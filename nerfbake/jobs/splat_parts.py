@@ -9,8 +9,8 @@ from nerfbake import io, memory
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.readings import Reading
+from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.steps import Steps
-from nerfbake.jobs.upright import upside_down_note
 from nerfbake.scene.origin import origin_text
 from nerfbake.scene.splats import Splats, join_splats, splats_size
 from nerfbake.scene.views import world_box
@@ -56,10 +56,10 @@ def _tell(steps: Steps, source: Source, before: Splats, after: Splats, which: st
     steps.say(f"{source.name}: leaves out {before.n - after.n:,} of {before.n:,} splats {which}")
 
 
-def read_joined(steps: Steps, sources: Sequence[Source], first: Splats) -> Splats:
+def read_joined(steps: Steps, sources: Sequence[Source], first: Splats, choice: SplatChoice = SplatChoice()) -> Splats:
     """Return `first`, the splats of the first source, joined with those of all others, in one world.
 
-    Raises UsageError if stdin is read twice, NerfbakeError.
+    choice: the axes of all files. Raises UsageError if stdin is read twice, NerfbakeError.
     """
     parts = [first]
     for source in sources[1:]:
@@ -70,15 +70,13 @@ def read_joined(steps: Steps, sources: Sequence[Source], first: Splats) -> Splat
             is_, was = ("", "not ") if found.antialiased else ("not ", "")
             steps.say(f"{source.name}: is {is_}antialiased, and OUT is {was}antialiased, as {sources[0].name}")
         parts.append(found)
-    for source, part in zip(sources, parts, strict=True):
-        if note := upside_down_note(part):
-            steps.say(f"{source.name}: {note}")
+    parts = [choice.read(steps, source, part) for source, part in zip(sources, parts, strict=True)]
     if len(parts) == 1:
-        return first
+        return parts[0]
     with io.blame(sources[0].name):
         total, most = sum(part.n for part in parts), max(part.B for part in parts)
         memory.require(f"{total:,} splats", splats_size(total, most))
-        return join_splats([part.relative_to(first.origin) for part in parts])
+        return join_splats([part.relative_to(parts[0].origin) for part in parts])
 
 
 def require_sources(sources: Sequence[Source]) -> None:

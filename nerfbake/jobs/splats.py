@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from nerfbake import catalog, io, progress
 from nerfbake.errors import UsageError
@@ -23,11 +24,13 @@ from nerfbake.jobs.photographs import (
     require_alike,
 )
 from nerfbake.jobs.readings import Reading
+from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.splat_parts import SplatParts, read_joined, require_sources
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.upright import field_turned_up, require_up, turned_up
 from nerfbake.jobs.views import picture_views
 from nerfbake.scene.radiance_field import RadianceField
-from nerfbake.scene.splats import Splats
+from nerfbake.scene.splats import Splats, Up
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_to_splats import COUNT, build_splats
 from nerfbake.stages.scene_to_cameras import orbit_cameras, without_strays
@@ -116,6 +119,8 @@ def bake_splats(
     pictures: SplatsViews = SplatsViews(),
     *,
     options: SplatsOptions = SplatsOptions(),
+    in_up: str | None = None,
+    choice: SplatChoice = SplatChoice(),
     functions: FunctionVoxels = FunctionVoxels(),
     min_psnr: float | None = None,
     steps: Steps = SILENT,
@@ -130,6 +135,10 @@ def bake_splats(
     state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept under this
     name. Raises NerfbakeError.
 
+    in_up   the axis of the world of `source` that points up: x, -x, y, -y, z or -z. The splats are rotated so that it
+            becomes -y, which formats of splats store as their own up axis. None: splats of splats are not rotated; of a
+            field it is z, and a format that says that z is up stores them as they are. -y: they are not rotated
+    choice  their axes in the files, and how they are written
     functions  how a trained field becomes voxels
     report  is called with the result, also if it is below `min_psnr`
 
@@ -141,15 +150,17 @@ def bake_splats(
     sources = [as_source(source)] if isinstance(source, Source | str | Path) else [as_source(each) for each in source]
     target = as_target(target)
     pictures.photographs.require()
-    form = _require(target, min_psnr)
+    up, written_as = require_up(in_up), choice.of_format
+    form = _require(target, min_psnr, written_as)
     require_sources(sources)
     first = sources[0]
     reading = Reading(steps, first, *((Splats,) if len(sources) > 1 else ()), functions=functions)
     reading.require()
     options.parts.require(reading)
+    reading.require(taken={"in_axes": (Splats,)}, in_axes=choice.in_axes)
     clock = Clock()
     if isinstance(reading.scene, Splats):
-        original = options.parts.of(steps, first, read_joined(steps, sources, reading.scene))
+        original = options.parts.of(steps, first, read_joined(steps, sources, reading.scene, choice))
         del reading
         count = options.splats or original.n
         fitted = options.epochs > 0 and (count < original.n or pictures.views is not None)
@@ -162,6 +173,8 @@ def bake_splats(
             if fitted:
                 steps.say(f"{first.name}: fits {splats} to {split.training}, measures on {split.held_out}{against}")
                 splats = fitted_splats(steps, first, splats, split.training, options, interrupted)
+        with first.blamed(steps, "turning the splats"):
+            splats = turned_up(steps, first, splats, up)
     else:
         if not options.epochs:
             raise UsageError("`epochs` 0 has no effect on a field; allowed: with splats that are merged")
@@ -176,15 +189,15 @@ def bake_splats(
                 splats = build_splats(field, count=options.splats or COUNT, cameras=cameras)
             del field
             splats = fitted_splats(steps, first, splats, split.training, options, interrupted)
-            if form.load_splat_module().KEEPS_UP:  # z is up in all scenes but splats
-                splats = replace(splats, up="z")
+        with first.blamed(steps, "turning the splats"):
+            splats, up = field_turned_up(form, splats, up)
     if interrupted.is_set():
         write_partial(steps, target, "Splats", splats)
     worked, passed = clock.worked, clock.passed
     reported = reporting(lambda: report(found) if report is not None else None)
-    with reported, target.writing(steps, splats) as written:
+    with reported, target.writing(steps, splats, **written_as) as written:
         with kept_as_partial(steps, target, written):
-            views, content = _measured(steps, target, written, split.held_out, splats)
+            views, content = _measured(steps, target, written.path, split.held_out, splats, up, written_as)
         found = SplatsResult(target.path, content, written.size, splats.n, views, worked, passed)
         io.report_result(psnr=found.psnr)
         Budget(min_psnr=min_psnr).judge(found.psnr, "the splats have", f"{split.held_out}{against}")
@@ -209,17 +222,26 @@ def fitted_splats(
         return state.splats()
 
 
-def _require(target: Target, min_psnr: float | None) -> catalog.Format:
+def _require(target: Target, min_psnr: float | None, written_as: dict[str, Any]) -> catalog.Format:
     target.require_read_back("splats")
-    form = target.require("Splats")
+    form = target.require("Splats", **written_as)
     Budget(min_psnr=min_psnr).require(target)
     return form
 
 
 def _measured(
-    steps: Steps, target: Target, written: io.PendingFile, held_out: Views, splats: Splats
+    steps: Steps,
+    target: Target,
+    path: str,
+    held_out: Views,
+    splats: Splats,
+    up: Up | None,
+    written_as: dict[str, Any],
 ) -> tuple[tuple[ViewError, ...], str]:
-    """Read the file that was written, and measure it on the held-out views."""
+    """Read the file that was written, and measure it on the held-out views.
+
+    up: the axis of the world of the views by which the splats were turned. written_as: options of the format.
+    """
     with Source(target.path).blamed(steps, f"measuring on {len(held_out.pictures)} pictures"):
-        loaded = read_back(target, written.path, splats)
-        return measure_views(loaded, held_out), str(loaded)
+        loaded: Splats = read_back(target, path, splats, **written_as)
+        return measure_views(loaded if up is None else loaded.without_up(up), held_out), str(loaded)

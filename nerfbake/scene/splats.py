@@ -207,6 +207,23 @@ class Splats(Scene):
             turned = self.transformed(np.column_stack([np.array(_TO_Y_DOWN[up], np.float64), np.zeros(3)]))
         return turned if turned.up == "-y" else replace(turned, up="-y")
 
+    def without_up(self, up: Up) -> Splats:
+        """Return the splats that with_up(up) made these of: the axis -y becomes `up` again.
+
+        >>> import numpy as np
+        >>> from nerfbake import Splats
+        >>> turn, half = np.array([[1, 0, 0, 0]], np.float32), np.full(1, 0.5, np.float32)
+        >>> place = np.array([[0, -5, 0]], np.float32)
+        >>> one = Splats(place, place + 9, turn, half, np.zeros((1, 1, 3), np.float32))
+        >>> one.without_up("z").means.tolist()
+        [[0.0, 0.0, 5.0]]
+        """
+        if up == "-y":
+            return self
+        if up == "y":
+            return self.flipped()
+        return self.transformed(np.column_stack([np.array(_TO_Y_DOWN[up], np.float64).T, np.zeros(3)]))
+
     def relative_to(self, origin: Floats) -> Splats:
         """Return the same splats with another origin. Far from it, float32 rounds their means."""
         if np.array_equal(origin, self.origin):

@@ -44,6 +44,38 @@ def test_the_last_line_is_the_quality_of_the_file(capsys: pytest.CaptureFixture[
     assert load("a.spz", Splats).antialiased
 
 
+@pytest.mark.parametrize("ending", ["spz", "ply", "glb", "sog"])
+def test_a_field_stands_upright_in_every_format(ending: str, capsys: pytest.CaptureFixture[str]) -> None:
+    few = "--count 100 --frames 2 --edge 16 --epochs 1"
+    facts = told(f"splats a.npz up.{ending} {few}".split(), capsys)
+    kept = told(f"splats a.npz kept.{ending} {few} --in-up=-y".split(), capsys)
+    assert facts["psnr"] == pytest.approx(kept["psnr"], abs=0.05)  # formats round the turned numbers differently
+    up, world = load(f"up.{ending}", Splats), load(f"kept.{ending}", Splats)
+    box = np.stack([world.means.min(axis=0), world.means.max(axis=0)])
+    # -y is up in every file that names no axis: x, y, z of the field are x, -z, y.
+    assert np.allclose(up.means.min(axis=0), [box[0, 0], -box[1, 2], box[0, 1]], atol=0.01)
+    assert np.allclose(up.means.max(axis=0), [box[1, 0], -box[0, 2], box[1, 1]], atol=0.01)
+
+
+def test_splats_of_splats_are_turned_only_if_that_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    scene = replace(made("many.ply"), up="z")
+    save("z.ply", scene)
+    assert run(["splats", "z.ply", "kept.spz", "--edge", "16"]) == 0
+    assert "z.ply: z points up, as the file says; only --in-up z turns the splats\n" in capsys.readouterr().err
+    found = told(["splats", "z.ply", "turned.spz", "--edge", "16", "--in-up", "z", "--axes", "RDF"], capsys)
+    kept, turned = load("kept.spz", Splats), load("turned.spz", Splats)
+    assert (kept.axes, turned.axes) == ("RUB", "RDF")
+    assert np.allclose(kept.with_up("z").means, turned.means, atol=1e-3)
+    assert found["psnr"] > 35  # of the rounding alone: it is measured in the world of z.ply
+
+
+def test_axes_are_of_splats_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(f"splats a.npz a.spz {SMALL} --in-axes RDF".split()) == 2
+    assert "--in-axes has no effect on a PlenOctree; allowed: with splats" in capsys.readouterr().err
+    assert run(f"splats a.npz a.ply {SMALL} --axes RDF".split()) == 2
+    assert "ply takes no option 'axes'" in capsys.readouterr().err
+
+
 def test_photographs_of_another_scene_are_refused_before_the_work(capsys: pytest.CaptureFixture[str]) -> None:
     jobs.write_sample_capture("elsewhere", frames=10, edge=32)
     path = Path("elsewhere/transforms.json")
@@ -179,7 +211,7 @@ def test_floaters_and_parts_are_left_out(capsys: pytest.CaptureFixture[str]) -> 
 def test_splats_are_fitted_to_photographs(capsys: pytest.CaptureFixture[str]) -> None:
     jobs.write_sample_capture("photographs", frames=10, edge=32)
     assert (
-        run(["splats", "a.npz", "first.ply", "--count", "300", "--frames", "4", "--edge", "32", "--epochs", "1"]) == 0
+        run(f"splats a.npz first.ply {SMALL} --in-up=-y".split()) == 0  # in the world of the photographs
     )
     before = told(["splats", "first.ply", "same.ply", "--views", "photographs", "--epochs", "0"], capsys)
     after = told(["splats", "first.ply", "better.ply", "--views", "photographs", "--epochs", "4"], capsys)
