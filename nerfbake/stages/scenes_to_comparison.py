@@ -29,11 +29,13 @@ def compare_scenes(
     *,
     truth: Sequence[Image] | None = None,
     keep_pictures: bool = True,
+    pictures_of_a: Sequence[Image] | None = None,
 ) -> Comparison:
     """Render both scenes with every camera, over white, and measure the differences.
 
     truth: a photograph for each camera. keep_pictures: False keeps only one view's pictures in memory at a time; the
-    comparison then has no pictures to draw.
+    comparison then has no pictures to draw. pictures_of_a: those of render_picture() with these cameras and their
+    samples, if a is compared with several scenes; None: they are rendered.
 
     The number of rays per pixel is that of the cameras. Fields are built for scenes of other types; pass a field that
     you have already built to save this time. Errors are on sRGB in 0..1, before rounding to 8 bits. Raises InvalidScene
@@ -49,13 +51,17 @@ def compare_scenes(
     """
     if truth is not None and len(truth) != len(cameras.cameras):
         raise InvalidScene(Problem("truth", f"has {len(truth)} pictures", f"{len(cameras.cameras)}, one a camera"))
+    if pictures_of_a is not None and len(pictures_of_a) != len(cameras.cameras):
+        found = f"are {len(pictures_of_a)}"
+        raise InvalidScene(Problem("the pictures of a", found, f"{len(cameras.cameras)}, one a camera"))
     cameras.require_covered()
     one, other = renderable(a), renderable(b)
     views, pictures, samples = [], [], cameras.samples
     for i, camera in progress.each(list(enumerate(cameras.cameras))):
         camera.require_memory(_PIXEL_BYTES)
-        both = progress.each([("a", one), ("b", other)])
-        seen = {name: render_picture(scene, camera, samples=samples) for name, scene in both}
+        known = {} if pictures_of_a is None else {"a": pictures_of_a[i]}
+        both = progress.each([(name, scene) for name, scene in (("a", one), ("b", other)) if name not in known])
+        seen = known | {name: render_picture(scene, camera, samples=samples) for name, scene in both}
         view: dict[str, Any] = {"name": camera.name, "a_b": _errors(seen["a"], seen["b"])}
         photograph = None
         if truth is not None:

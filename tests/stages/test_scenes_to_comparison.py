@@ -85,3 +85,15 @@ def test_a_truth_and_the_sheet() -> None:
         compare_scenes(a, b, cameras, truth=truth[:1])
     with pytest.raises(InvalidScene, match="truth of 0000 has 20x16 pixels; allowed: 30x30"):
         compare_scenes(a, b, orbit_cameras(build_field(a), frames=2, width=30, height=30), truth=truth)
+
+
+def test_pictures_that_are_known_are_not_rendered_again() -> None:
+    a, b = n3tree(splits=[(0, (1, 0, 1))]), n3tree(splits=[(0, (1, 0, 1))])
+    b.data[..., -1] += 0.5
+    cameras = orbit_cameras(build_field(a), frames=2, width=12, height=10)
+    whole = compare_scenes(a, b, cameras)
+    shown = [picture for _, picture, _ in whole.pictures]
+    # The scene in place of `a` is not looked at.
+    assert compare_scenes(b, b, cameras, pictures_of_a=shown).views == whole.views
+    with pytest.raises(InvalidScene, match="the pictures of a are 1; allowed: 2, one a camera"):
+        compare_scenes(a, b, cameras, pictures_of_a=shown[:1])
