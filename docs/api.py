@@ -71,7 +71,10 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
         "scene.image stages.field_to_image stages.meshes_to_image stages.field_and_meshes_to_image"
         " stages.stage1_to_image",
     ),
-    "Comparisons and facts": (nerfbake, "scene.comparison stages.scenes_to_comparison stages.scene_to_summary"),
+    "Comparisons and facts": (
+        nerfbake,
+        "scene.comparison scene.shipment stages.scenes_to_comparison stages.scene_to_summary",
+    ),
     "Pages": (
         nerfbake,
         "scene.page stages.scene_to_page stages.field_to_page_field stages.n3tree_to_page_shells"

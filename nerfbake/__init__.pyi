@@ -27,6 +27,7 @@ from .scene.page import PageField as PageField
 from .scene.page import PageSurface as PageSurface
 from .scene.quantised_octree import QuantisedOctree as QuantisedOctree
 from .scene.radiance_field import RadianceField as RadianceField
+from .scene.shipment import Shipment as Shipment
 from .scene.splats import Splats as Splats
 from .scene.stage1 import SpecularField as SpecularField
 from .scene.stage1 import Stage1 as Stage1

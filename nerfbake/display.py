@@ -15,6 +15,7 @@ from nerfbake.errors import NerfbakeError, format_size, one_line
 from nerfbake.scene.comparison import Comparison
 from nerfbake.scene.image import Image
 from nerfbake.scene.page import Page
+from nerfbake.scene.shipment import Shipment
 from nerfbake.stages.picture import render_picture, renderable
 from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scene_to_summary import summarise_scene
@@ -28,7 +29,7 @@ def html(scene: Any) -> str | None:
     """A page as a frame, another scene as a table of facts with a thumbnail. None for a picture, which is a PNG."""
     if isinstance(scene, Page):
         return _framed(first_format(scene), scripts=True, height=500)
-    if isinstance(scene, Comparison):
+    if isinstance(scene, Comparison | Shipment):
         return _framed(first_format(scene), scripts=False, height=700)
     return None if isinstance(scene, Image) else _table(scene)
 

@@ -37,6 +37,7 @@ from nerfbake.formats.page import comparison as comparison_page
 from nerfbake.formats.page import view as view_page
 from nerfbake.scene.base import Scene
 from nerfbake.scene.compact_repr import CompactRepr
+from tests.scene.test_shipment import ALL as SHIPMENT
 from tests.support.lattices import some_lattice
 from tests.support.meshes import sphere
 from tests.support.quantised import random_quantised
@@ -108,7 +109,7 @@ def scenes() -> dict[str, Any]:
         Depth(np.ones((3, 4), np.float32)),
         EnvironmentMap(np.ones((2, 4, 3), np.float32)),
     ]
-    found += [some_lattice(), random_quantised(0)]
+    found += [some_lattice(), random_quantised(0), SHIPMENT]
     return {type(scene).__name__: scene for scene in found}
 
 
@@ -129,6 +130,7 @@ NAMES = [
     "Page",
     "QuantisedOctree",
     "RadianceField",
+    "Shipment",
     "SparseVoxelOctree",
     "SpecularField",
     "Stage1",
@@ -160,7 +162,7 @@ def test_a_notebook_gets_a_small_table(name: str) -> None:
         assert html is None  # a notebook shows the picture itself
         return
     assert len(html) < 100_000 or name == "Page"
-    assert name in ("Comparison", "Page") or f"<th>scene</th><td>{escape(str(scenes()[name]))}</td>" in html
+    assert name in ("Comparison", "Page", "Shipment") or f"<th>scene</th><td>{escape(str(scenes()[name]))}</td>" in html
 
 
 @pytest.mark.parametrize("name", ["N3Tree", "SparseVoxelOctree", "Volume", "Meshes", "LatticeField"])

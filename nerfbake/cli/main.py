@@ -37,6 +37,7 @@ from nerfbake.cli.refit import refit
 from nerfbake.cli.render import render
 from nerfbake.cli.sample import sample
 from nerfbake.cli.shaders import shaders
+from nerfbake.cli.ship import ship
 from nerfbake.cli.splats import splats
 from nerfbake.cli.svo import svo
 from nerfbake.cli.vdb import vdb
@@ -52,7 +53,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 GROUPS = {
     "Create": (poses, fit, refit, sample),
-    "Convert": (svo, vdb, lattice, splats, mesh, atlas, convert, compress, lod, hull, shaders),
+    "Convert": (svo, vdb, lattice, splats, mesh, atlas, convert, compress, lod, hull, ship, shaders),
     "View": (view, render, info),
     "Measure": (compare, check, atlas_error, bench),
     "Batch": (batch,),

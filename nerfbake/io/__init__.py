@@ -43,6 +43,7 @@ from nerfbake.io.streams import versioned as versioned
 from nerfbake.io.targets import is_pipe_or_device as is_pipe_or_device
 from nerfbake.io.targets import rejected_path as rejected_path
 from nerfbake.io.targets import replacing as replacing
+from nerfbake.io.targets import replacing_folder as replacing_folder
 from nerfbake.io.targets import require_absent as require_absent
 from nerfbake.io.targets import require_no_folder as require_no_folder
 from nerfbake.io.targets import require_rejected_absent as require_rejected_absent

@@ -57,6 +57,9 @@ from .samples import write_sample_capture as write_sample_capture
 from .samples import write_sample_n3tree as write_sample_n3tree
 from .samples import write_sample_stage1 as write_sample_stage1
 from .shaders import write_shaders as write_shaders
+from .shipments import ShipmentOptions as ShipmentOptions
+from .shipments import ShippedViews as ShippedViews
+from .shipments import ship_file as ship_file
 from .splat_choice import SplatChoice as SplatChoice
 from .splat_parts import SplatParts as SplatParts
 from .splats import SplatsOptions as SplatsOptions

@@ -255,7 +255,7 @@ def view_file(
         with file.writing(steps, made) as written:
             judged = shown.field if read.splats is None else read.splats
             judge_output(
-                written.path, judged, budget, made_from=source.name, name=file.path, read=_field_of, steps=steps
+                written.path, judged, budget, made_from=source.name, name=file.path, read=field_of_page, steps=steps
             )
     return made
 
@@ -434,7 +434,7 @@ def _shells_size(shown: _Shown, form: catalog.Format) -> int:
     return 3 * (size(shown.page(b"")) - size(shown._replace(around=()).page(b""))) // 4
 
 
-def _field_of(path: str) -> RadianceField:
+def field_of_page(path: str) -> RadianceField:
     """Read the field of a written page, with the values that its shader gets."""
     content = io.load_page_content(path)
     if isinstance(content, PageField):

@@ -27,6 +27,7 @@ REPLACE = {
     "lattice": "lattice {tree} {out} --rounds 1",
     "mesh": "mesh {tree} {out} --frames 2 --edge 8 --triangles 20 --texture 16",
     "sample nerf2mesh": "sample nerf2mesh {out} --resolution 16",
+    "ship": "ship {tree} {out} --for unity",
     "shaders": "shaders {out} --language hlsl --what world",
 }
 ADD = {"render", "sample capture"}  # these add files to a folder, and replace only files of the same names
@@ -51,7 +52,8 @@ def test_every_command_that_writes_a_folder_is_in_this_list() -> None:
     assert found | {"mesh", "render"} == REPLACE.keys() | ADD
     words = re.compile(r"\b(FolderTarget|replacing_folder|save_files|save_folder|saving_folder)\b")
     jobs = {path.stem for path in (REPOSITORY / "nerfbake/jobs").glob("*.py") if words.search(path.read_text())}
-    assert jobs == {"atlases", "budgets", "cameras", "files", "lattices", "meshes", "poses", "samples", "shaders"}
+    known = {"atlases", "budgets", "cameras", "files", "lattices", "meshes", "poses", "samples", "shaders", "shipments"}
+    assert jobs == known
 
 
 @pytest.fixture

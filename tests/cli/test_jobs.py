@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +23,7 @@ ATLAS_DEFAULTS: Any = {
     "method": "kmeans", "nodes": 7, "directions": 100, "direction_set": "fibonacci", "centres": "snapped",
     "border": 1, "seed": 0,
 }  # fmt: skip
+TIMES = re.compile(rb'<data value="[^"]*">[^<]*</data> s</td>')  # of report.html
 MESH = ("--frames", "8", "--edge", "32", "--texture", "64")
 JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
     "fit": (
@@ -98,6 +100,10 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
             "a.npz", f"{out}.html", data="exact", title="A scene", background=(1.0, 1.0, 1.0), cameras="c.json"
         ),
     ),
+    "ship": (
+        ["a.npz", "OUT", "--for", "unity", "--cameras", "c.json"],
+        lambda out: jobs.ship_file("a.npz", out, targets=("unity",), cameras="c.json"),
+    ),
     "poses": (["OUT", "--seed", "3"], lambda out: jobs.find_poses(out, seed=3)),
     "mesh": (
         ["a.npz", "OUT.glb", *MESH, "--lods", "500,100", "--in-up", "z", "--lit", "--image", "png"],
@@ -170,14 +176,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def written(folder: Path, stem: str) -> dict[str, Any]:
-    """What all files hold whose names start so; of JSON what it says, in whatever order."""
+    """What all files hold whose names start so; of JSON what it says, in whatever order. Reports lose their times."""
     paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
     names = {str(path.relative_to(folder)): path for path in paths}
     return {name.removeprefix(stem): _held(path) for name, path in names.items() if name.startswith(stem)}
 
 
 def _held(path: Path) -> Any:
-    return json.loads(path.read_text()) if path.suffix == ".json" else path.read_bytes()
+    if path.suffix == ".json":
+        return json.loads(path.read_text(), object_hook=_without_times)
+    return TIMES.sub(b"", path.read_bytes()) if path.name == "report.html" else path.read_bytes()
+
+
+def _without_times(entries: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in entries.items() if key not in ("seconds", "cpu_seconds")}
 
 
 @pytest.mark.usefixtures("fewer_rays")

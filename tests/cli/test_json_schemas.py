@@ -65,6 +65,7 @@ LINES = {
     "poses room --json": 0,
     "refit coarse.svo.pb OUT.svo.pb --like a.npz --frames 4 --edge 24 --epochs 1 --json": 0,
     "refit coarse.svo.pb OUT.svo.pb --views photographs --epochs 1 --json": 0,
+    "ship a.npz OUT --for unity --json": 0,
     "splats a.npz OUT.ply --count 300 --frames 4 --edge 24 --epochs 1 --json": 0,
     "splats a.npz OUT.spz --count 300 --views photographs --epochs 1 --min-psnr 90 --json": 3,
     "batch 'svo {in} out/{stem}.svo.pb --min-psnr 30' a.npz --plan --json": 0,
