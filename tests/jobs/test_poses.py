@@ -93,6 +93,15 @@ def test_the_cameras_are_where_they_were(found: Found) -> None:
 
 
 @pytest.mark.slow
+def test_the_points_are_read_with_the_cameras(found: Found) -> None:
+    """Wherever the photographs are: `fit` needs the points."""
+    for place in found.places:
+        points = load(place, Cameras).points
+        assert points is not None
+        assert len(points) == found.results[0].points
+
+
+@pytest.mark.slow
 def test_the_facts_are_those_of_the_model(found: Found) -> None:
     result = found.results[0]
     assert result == PosesResult(str(found.places[0]), FRAMES, FRAMES, result.points, result.error)

@@ -21,6 +21,7 @@ from nerfbake.scene.camera import Cameras
 from nerfbake.scene.sparse_points import SparsePoints
 
 _NAMES = ("transforms.json", "transforms_test.json", "transforms_val.json", "transforms_train.json")
+_IMAGES = "images/"
 FILES = re.compile(re.escape(_NAMES[0]))
 _SAME = 1e-4  # largest difference of two poses that are the same, relative to the distances of the cameras
 
@@ -50,8 +51,10 @@ def _points_of(model: Cameras, cameras: Cameras) -> SparsePoints | None:
 
     The worlds may differ by a rotation and a translation, such as nerfstudio's applied_transform.
     """
-    places = {camera.picture: i for i, camera in enumerate(model.cameras) if camera.picture}
-    pairs = [(places[camera.picture], i) for i, camera in enumerate(cameras.cameras) if camera.picture in places]
+    # The pictures of a model are relative to `images`, or to the folder itself if `images` does not exist.
+    places = {camera.picture.removeprefix(_IMAGES): i for i, camera in enumerate(model.cameras) if camera.picture}
+    names = [camera.picture.removeprefix(_IMAGES) for camera in cameras.cameras]
+    pairs = [(places[name], i) for i, name in enumerate(names) if name in places]
     if model.points is None or len(pairs) < 2:
         return None
     found = np.stack([model.cameras[i].pose[:3] for i, _ in pairs])
