@@ -156,6 +156,13 @@ class MemoryLimit(NerfbakeError):
         super().__init__(Problem(what, f"needs {format_size(need)}{others}", f"{format_size(limit)} (`memory_limit`)"))
 
 
+class DeviceError(NerfbakeError):
+    """A graphics device that fails: lost, out of memory, too small for a buffer, or without an answer.
+
+    The CPU does the same work, so most callers go on without the device.
+    """
+
+
 class BudgetMissed(NerfbakeError):
     """A result that loses more quality than the caller allows."""
 

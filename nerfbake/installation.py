@@ -27,6 +27,7 @@ EXTRAS = {
     "pycolmap": "poses",
     "pillow_heif": "heic",
     "pxr": "usd",
+    "wgpu": "gpu",
     "sklearn": "bench",
     "bson": "bench",
 }

@@ -19,7 +19,8 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "installation": ({"errors"}, set()),
     "kernels": ({"errors", "memory", "progress", "kernels"}, {"numpy", "numba"}),
     "scene": ({"errors", "memory", "progress", "kernels", "scene"}, {"numpy"}),
-    "stages": ({"errors", "memory", "progress", "kernels", "scene", "stages"}, {"numpy"}),
+    "device": ({"errors", "installation", "memory", "device"}, {"numpy"}),
+    "stages": ({"errors", "memory", "progress", "kernels", "device", "scene", "stages"}, {"numpy"}),
     "contract": ({"errors"}, set()),
     "formats": (
         {"errors", "installation", "memory", "progress", "contract", "kernels", "scene", "formats"},
@@ -32,7 +33,7 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "batch": ({"errors", "memory", "progress", "catalog", "io", "formats.wire", "batch", "__version__"}, set()),
     "jobs": (
         {
-            *("errors", "installation", "memory", "progress", "kernels", "catalog", "io"),
+            *("errors", "installation", "memory", "progress", "kernels", "device", "catalog", "io"),
             *("scene", "stages", "batch", "jobs", "__version__"),
         },
         set(),
@@ -61,6 +62,7 @@ OWN_LIBRARY = {
     "bench/compress": {"sklearn", "zstandard"},
     "bench/formats/libraries": {"bson", "capnp", "flatbuffers", "google"},
     "bench/plot": {"matplotlib"},
+    "device/library": {"wgpu"},
     "formats/atlas/folder": {"PIL"},  # for its version in atlas.json
     "formats/octree/flatbuffers": {"flatbuffers"},
     "formats/octree/json": {"orjson"},
@@ -104,6 +106,7 @@ HEAVY = {
     "sklearn",
     "trimesh",
     "warp",
+    "wgpu",
     "yaml",
     "numpy",
     "rich",

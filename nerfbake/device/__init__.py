@@ -1,0 +1,1 @@
+"""Graphics cards: the adapters of this machine, and a device that runs compute shaders in WGSL."""
