@@ -54,21 +54,21 @@ def list_adapters() -> tuple[Adapter, ...]:
     return tuple(adapter for adapter, _ in _found()) if library.is_available() else ()
 
 
-def open_device(name: str = AUTO) -> Gpu | None:
+def open_device(device: str = AUTO) -> Gpu | None:
     """Return a device, or None for the CPU.
 
-    name  auto: the first card, or None; cpu: None; gpu: the first card; else a part of an adapter's name. Software
-          adapters are slower than the CPU itself, and are used only if they are named
+    device  auto: the first card, or None; cpu: None; gpu: the first card; else a part of an adapter's name. Software
+            adapters are slower than the CPU itself, and are used only if they are named
 
     Raises UsageError if there is no such device, DeviceError if its driver fails.
     """
-    if name == CPU or (name == AUTO and not library.is_available()):
+    if device == CPU or (device == AUTO and not library.is_available()):
         return None
     try:
-        adapter = _chosen(name)
+        adapter = _chosen(device)
         return None if adapter is None else _opened(*adapter)
     except DeviceError:
-        if name == AUTO:  # the CPU does the same work
+        if device == AUTO:  # the CPU does the same work
             return None
         raise
 
