@@ -118,6 +118,7 @@ class Gpu:
     _axis: int = field(init=False, repr=False)
     _alignment: int = field(init=False, repr=False)
     _little: Buffer = field(init=False, repr=False)
+    _pipelines: dict[tuple[object, ...], Pipeline] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         wgpu, own = library.load(), self._adapter.limits
@@ -189,10 +190,17 @@ class Gpu:
 
     # -- work ----------------------------------------------------------------------------------------------------
     def pipeline(self, wgsl: str, entry: str, constants: Mapping[str, float] | None = None) -> Pipeline:
-        """Compile an entry point of a shader. constants: the values of its `override` constants. Raises DeviceError.
+        """Return a compiled entry point of a shader, compiled once. Raises DeviceError.
 
-        All bindings in the text become part of the pipeline, so a text has only those that its entry points use.
+        constants: the values of its `override` constants. All bindings in the text become part of the pipeline, so a
+        text has only those that its entry points use.
         """
+        own = tuple(sorted((constants or {}).items()))
+        if (wgsl, entry, own) not in self._pipelines:
+            self._pipelines[wgsl, entry, own] = self._compiled(wgsl, entry, dict(own))
+        return self._pipelines[wgsl, entry, own]
+
+    def _compiled(self, wgsl: str, entry: str, constants: dict[str, float]) -> Pipeline:
         names = {
             name: (int(group), int(binding), _kind(space, access))
             for group, binding, space, access, name in _BINDING.findall(wgsl)
@@ -205,7 +213,7 @@ class Gpu:
             ]
             handle = self._device.create_compute_pipeline(
                 layout=self._device.create_pipeline_layout(bind_group_layouts=layouts),
-                compute={"module": module, "entry_point": entry, "constants": dict(constants or {})},
+                compute={"module": module, "entry_point": entry, "constants": constants},
             )
         return Pipeline(handle, layouts, names)
 

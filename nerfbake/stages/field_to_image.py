@@ -10,7 +10,7 @@ import numpy.typing as npt
 from nerfbake import progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.affine import transform_points
-from nerfbake.scene.camera import Camera
+from nerfbake.scene.camera import Camera, require_samples
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.octree import Lookup
 from nerfbake.scene.radiance_field import RadianceField, require_field
@@ -61,19 +61,32 @@ def render_field(
     >>> image.size, bool(image.alpha.max() > 0.5)
     ((16, 12), True)
     """
+    require_options(field, camera, transmittance_cut, lookup, stop, samples)
+    return supersampled(
+        lambda part: _rendered(field, part, background, transmittance_cut, lookup, stop), camera, samples
+    )
+
+
+def require_options(
+    field: RadianceField,
+    camera: Camera,
+    transmittance_cut: float,
+    lookup: Lookup,
+    stop: npt.NDArray[np.float64] | None,
+    samples: int,
+) -> None:
+    """Raise UsageError or InvalidScene for options that render_field() does not have."""
     require_field(field)
     if not 0 <= transmittance_cut < 1:
         raise InvalidScene(Problem("transmittance_cut", f"is {transmittance_cut:g}", "0 to 1, excluding 1"))
     if lookup not in ("nearest", "trilinear"):
         raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
+    require_samples(samples)
     if stop is not None and stop.shape != (camera.height, camera.width):
         raise InvalidScene(Problem("stop", f"has shape {stop.shape}", f"{(camera.height, camera.width)}"))
     if stop is not None and samples != 1:
         found = f"has one distance per pixel for {samples!r:.40} samples"
         raise InvalidScene(Problem("stop", found, "1 sample; render_field_and_meshes() for more"))
-    return supersampled(
-        lambda part: _rendered(field, part, background, transmittance_cut, lookup, stop), camera, samples
-    )
 
 
 def _rendered(
