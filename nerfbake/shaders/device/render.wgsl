@@ -52,8 +52,9 @@ struct Ray {
 
 struct Sums {
     colour: vec3f,
-    through: f32,
-    far: f32,  // opacity times distance
+    alpha: f32,    // the sum of the weights, from which `colour` and `far` are made, too
+    through: f32,  // the transmittance
+    far: f32,      // opacity times distance
 }
 
 struct Cell {
@@ -150,8 +151,18 @@ fn nextOf(ray: Ray, corner: vec3i, width: i32, exits: vec3f, t: f32) -> vec4i {
     return vec4i(cell, axis);
 }
 
+// 1 - exp(-x) and 1 - (1 + x) exp(-x), also for small x, where float32 would lose the digits of the differences.
+fn lost(x: f32) -> vec2f {
+    if x > 0.2 {
+        let kept = exp(-x);
+        return vec2f(1.0 - kept, 1.0 - kept - x * kept);
+    }
+    let first = x * (1.0 - x / 2.0 * (1.0 - x / 3.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0))));
+    return vec2f(first, x * x * (1.0 / 2.0 - x * (1.0 / 3.0 - x * (1.0 / 8.0 - x * (1.0 / 30.0 - x / 144.0)))));
+}
+
 fn march(ray: Ray, basis: ptr<function, Harmonics>) -> Sums {
-    var sums = Sums(vec3f(0.0), 1.0, 0.0);
+    var sums = Sums(vec3f(0.0), 0.0, 1.0, 0.0);
     let first = view.first.xyz;
     let last = view.last.xyz;
     var t = 0.0;
@@ -163,14 +174,13 @@ fn march(ray: Ray, basis: ptr<function, Harmonics>) -> Sums {
         if cell.slot < -1 {
             let row = -2 - cell.slot;
             let texel = texels[TEXELS * row];
-            let thick = texel.a * (min(next, ray.end) - t);
-            let kept = exp(-thick);
-            let weight = sums.through * (1.0 - kept);
+            let part = lost(texel.a * (min(next, ray.end) - t));
+            let weight = sums.through * part.x;
             sums.colour += weight * sigmoid(sumOf(row, texel.rgb, basis));
+            sums.alpha += weight;
             // The mean distance, within the cell, at which light is absorbed there.
-            sums.far += weight * (ray.from_eye + t);
-            sums.far += sums.through * (1.0 - kept - thick * kept) / max(texel.a, 1e-30);
-            sums.through *= kept;
+            sums.far += weight * (ray.from_eye + t) + sums.through * part.y / max(texel.a, 1e-30);
+            sums.through *= 1.0 - part.x;
         }
         t = next;
         let step = nextOf(ray, cell.corner, cell.width, exits, t);
@@ -193,7 +203,7 @@ fn cornerAt(place: vec3i, basis: ptr<function, Harmonics>) -> vec4f {
 // The same between the centres of cells: density is trilinear, coefficients are weighted by it. Two Gauss points
 // integrate the density of a cube exactly. Positions count from the centre of the first cell.
 fn marchSmooth(ray: Ray, basis: ptr<function, Harmonics>) -> Sums {
-    var sums = Sums(vec3f(0.0), 1.0, 0.0);
+    var sums = Sums(vec3f(0.0), 0.0, 1.0, 0.0);
     let first = view.first.xyz;
     let last = view.last.xyz;
     let edge = i32(view.tree.z);
@@ -225,11 +235,12 @@ fn marchSmooth(ray: Ray, basis: ptr<function, Harmonics>) -> Sums {
                 let x1 = mix(mix(corners[4], corners[5], f.z), mix(corners[6], corners[7], f.z), f.y);
                 let found = mix(x0, x1, f.x);
                 if found.a > 0.0 {
-                    let kept = exp(-found.a * 0.5 * long);
-                    let weight = sums.through * (1.0 - kept);
+                    let part = lost(found.a * 0.5 * long).x;
+                    let weight = sums.through * part;
                     sums.colour += weight * sigmoid(found.rgb / found.a);
+                    sums.alpha += weight;
                     sums.far += weight * (ray.from_eye + at);
-                    sums.through *= kept;
+                    sums.through *= 1.0 - part;
                 }
             }
         }
@@ -264,9 +275,8 @@ fn marchSmooth(ray: Ray, basis: ptr<function, Harmonics>) -> Sums {
         if BASIS == 0 { basis.f[0] = 1.0; }
         var sums: Sums;
         if SMOOTH { sums = marchSmooth(ray, &basis); } else { sums = march(ray, &basis); }
-        let opacity = 1.0 - sums.through;
-        colour += sums.colour + view.background.w * (1.0 - opacity) * view.background.rgb;
-        alpha += opacity;
+        colour += sums.colour + view.background.w * (1.0 - sums.alpha) * view.background.rgb;
+        alpha += sums.alpha;
         far += sums.far;
     }
     let rays = f32(samples * samples);
