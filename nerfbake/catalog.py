@@ -83,6 +83,9 @@ class FolderKind(NamedTuple):
     def load_module(self) -> contract.FolderFormat:
         return cast(contract.FolderFormat, import_module(f"nerfbake.formats.{self.module}"))
 
+    def load_splat_module(self) -> contract.SplatStore:
+        return cast(contract.SplatStore, self.load_module())
+
     def require_options(self, given: Mapping[str, object]) -> None:
         """Raise UsageError if this kind of folder does not take an option or its value."""
         contract.require_options(self.name, self.load_module().encode, given)
@@ -195,7 +198,7 @@ FOLDERS = (
     FolderKind("nsvf", "Cameras", "camera.nsvf", "NSVF's capture", "intrinsics.txt", _NSVF, writable=False),
     FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", key="finedensity.vdb"),
     FolderKind("merf", "LatticeField", "field.merf", "MERF's folder", _BLOCKS, _BAKED, writable=False),
-    FolderKind("sog_folder", "Splats", "splat.sog_folder", "folder of a .sog", "meta.json", _SOG, writable=False),
+    FolderKind("sog_folder", "Splats", "splat.sog_folder", "folder of a .sog", "meta.json", _SOG),
     FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", _BAKED, writable=False),
 )
 
@@ -380,6 +383,16 @@ def folder_to_write(scene: str) -> FolderKind:
     raise UsageError(f"a {scene} cannot be written as a folder; allowed: {known}")
 
 
+def folder_of_key(path: str, scene: str) -> FolderKind | None:
+    """Return the kind of folder that stores this scene type and is written if OUT is this path: the file of its key.
+
+    Only kinds whose key may be given instead of the folder are written so.
+    """
+    name = PurePath(path).name
+    known = (kind for kind in folders_of(scene) if kind.writable)
+    return next((kind for kind in known if kind.key == name and name in kind.members), None)
+
+
 def folder_of_content(files: Mapping[str, memoryview], *wanted: str) -> FolderKind:
     """Return the kind of folder that these files form. Raises InvalidFile.
 
@@ -426,6 +439,12 @@ def dialects_in(files: contract.HeadedFiles) -> list[tuple[Dialect, str]]:
             if form in forms:
                 found.setdefault(form, []).append(path)
     return [(form, path) for form in DIALECTS for path in found.get(form, [])[: 1 if form.is_many else None]]
+
+
+def writes_cameras(ending: str, to: str | None) -> bool:
+    """True if OUT can only be cameras: no extension or name of a format for splats, which may be the same."""
+    found = cameras_to_write(ending, to) is not None
+    return found and not is_ending(ending, "Splats") and folder_of_key(ending, "Splats") is None
 
 
 def cameras_to_write(ending: str, to: str | None) -> AnyFormat | Dialect | None:

@@ -142,14 +142,18 @@ class VolumeFormat(FileFormat, Protocol):
         """Raise UsageError if a file cannot store these grids (density, Cd, sh; or index) together."""
 
 
-class SplatFormat(FileFormat, Protocol):
-    """A format for Gaussian splats that is written."""
+class SplatStore(Protocol):
+    """What splats lose in a format, or in a kind of folder, that is written."""
 
     MOST_DEGREE: int  # of the spherical harmonics that it can store
     KEEPS_UP: bool  # True: the file says which axis is up, and splats with z up are stored unturned
     KEEPS_ORIGIN: bool  # False: positions of splats far from 0 are written relative to their origin
     # Optional: in_order(scene) returns the splats in the order in which encode() writes them.
     # Optional: readers_note(**options) returns which programs cannot read what encode() writes, or ''.
+
+
+class SplatFormat(FileFormat, SplatStore, Protocol):
+    """A format for Gaussian splats that is written."""
 
 
 class ExaminedFormat(FileFormat, Protocol):

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from nerfbake.catalog import cameras_to_write, is_ending
+from nerfbake.catalog import writes_cameras
 from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     ALL,
@@ -47,7 +47,8 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
     Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz, without loss.
     A field that another program trained becomes a PlenOctree (.npz) or an octree; the loss against its own pictures is
     printed.
-    Gaussian splats become .ply, .spz, .glb or USD (.usda, .usdc, .usdz), and the largest and median loss are printed.
+    Gaussian splats become .ply, .spz, .sog, .glb or USD (.usda, .usdc, .usdz), or the folder of a .sog if OUT is
+    FOLDER/meta.json. The largest and median loss are printed.
     With --in-up, they are rotated so that this axis of their world, in which `info` describes them, points up in the
     new file.
 
@@ -70,12 +71,13 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
       nerfbake convert scene.ply scene.spz
       nerfbake convert scene.ply scene.glb --in-up z
       nerfbake convert scene.ply scene.usdz --half
+      nerfbake convert scene.ply scene/meta.json
       nerfbake convert upside_down.spz scene.spz --in-axes RDF --spz-version 3
       nerfbake convert cameras.xml transforms.json
       nerfbake convert cameras.xml sparse/0 --to colmap
     """
 
-    if cameras_to_write(target.ending, target.to) is not None and not is_ending(target.ending, "Splats"):
+    if writes_cameras(target.ending, target.to):
         _refuse_options()
         from nerfbake.jobs.cameras import convert_cameras
 

@@ -52,8 +52,8 @@ def convert_file(
 
     Reads `source` and writes `target`, whose format selects what is written. For an octree's format, PlenOctrees,
     lattices and splats become octrees as in bake_octree(). A trained field becomes an octree or, with all of its
-    scenery, a PlenOctree. For a format of splats, convert_splats() is called. A stage of USD takes cameras, too:
-    convert_cameras() writes them.
+    scenery, a PlenOctree. For a format or a folder of splats, convert_splats() is called. A stage of USD takes cameras,
+    too: convert_cameras() writes them.
 
     layout    of an octree: child slots for every node (full), or none on the last level (compact)
     no_child  child index that means 'no child' in an octree's file: 0 or -1
@@ -72,7 +72,7 @@ def convert_file(
     from nerfbake.stages.vdb_to_vdb import cast_volume
 
     source, target = as_source(source), as_target(target)
-    if _is_ending(target, "Splats"):
+    if _is_ending(target, "Splats") or target.folder("Splats"):
         if layout or no_child or codec or choice.grids:
             raise UsageError("splats have no child slots, grids and codecs; allowed: `in_up` and the options of splats")
         _refuse_voxels("splats", functions, budget)
@@ -154,7 +154,8 @@ def convert_splats(
             the formats store as their own up axis. None: they are not rotated
     choice  their axes in the files, and how they are written
 
-    SH bands that the format cannot store are left out. Raises NerfbakeError.
+    The folder of a .sog is written for a `target` FOLDER/meta.json. SH bands that the format cannot store are left out.
+    Raises NerfbakeError.
 
     >>> import numpy as np
     >>> places, turns = np.eye(3, dtype=np.float32), np.eye(4, dtype=np.float32)[:3]
@@ -165,7 +166,7 @@ def convert_splats(
     3 splats of SH degree 0
     """
     source, target = as_source(source), as_target(target)
-    form = _require_splats(target, in_up, choice)
+    form = _require_splats(source, target, in_up, choice)
     return _write_splats(steps, source, source.read(steps, Splats), target, form, in_up=in_up, choice=choice)
 
 
@@ -176,7 +177,7 @@ def _convert_stage(
     from nerfbake.jobs.cameras import write_cameras
     from nerfbake.jobs.views import tell_file_of
 
-    form = _require_splats(target, in_up, choice)
+    form = _require_splats(source, target, in_up, choice)
     found = source.read(steps, Splats, Cameras)
     if isinstance(found, Splats):
         return _write_splats(steps, source, found, target, form, in_up=in_up, choice=choice)
@@ -186,10 +187,15 @@ def _convert_stage(
     return write_cameras(steps, found, source, target, in_up=in_up)
 
 
-def _require_splats(target: Target, in_up: str | None, choice: SplatChoice) -> catalog.Format:
-    """Return the format to write. Call it before doing any work. Raises NerfbakeError."""
+def _require_splats(source: Source, target: Target, in_up: str | None, choice: SplatChoice) -> catalog.AnyFormat:
+    """Return the format, or the kind of folder, to write. Call it before doing any work. Raises NerfbakeError."""
     require_up(in_up)
-    return target.require("Splats", **choice.of_format)
+    if (folder := target.folder("Splats")) is None:
+        return target.require("Splats", **choice.of_format)
+    folder.require("Splats", [source.path])
+    kind = catalog.folder_to_write("Splats")
+    kind.require_options(choice.of_format)
+    return kind
 
 
 def _write_splats(
@@ -197,7 +203,7 @@ def _write_splats(
     source: Source,
     read: Splats,
     target: Target,
-    form: catalog.Format,
+    form: catalog.AnyFormat,
     *,
     in_up: str | None,
     choice: SplatChoice,
@@ -215,14 +221,18 @@ def _write_splats(
     if (ordered := getattr(module, "in_order", None)) is not None:  # so that rows can be compared
         splats = ordered(splats)
     kept = splats.with_degree(module.MOST_DEGREE)
+    place = target.folder("Splats") or target
     with (
-        target.writing(steps, kept, **options),
+        place.writing(steps, kept, **options) as written,
         steps.phase("measuring the loss"),
         io.blame(target.name),
         memory.scope(),
     ):
-        if form.library:
-            found: Splats = form.load_stored_module().stored(kept, **options)
+        if isinstance(form, catalog.FolderKind):
+            steps.say(f"{place.path}: {kept}, {written.size:,} bytes")
+            found: Splats = io.load_folder(written.path, Splats)
+        elif form.library:
+            found = form.load_stored_module().stored(kept, **options)
         else:
             found = module.decode(memoryview(b"".join(module.encode(kept, **options))))
         loss = measure_splats(splats, found)

@@ -129,6 +129,12 @@ class Target(NamedTuple):
         """What selects the format: the path, or the extension that `to` stands for."""
         return self.path if self.to is None else f".{self.to.removeprefix('.')}"
 
+    def folder(self, scene: str) -> FolderTarget | None:
+        """Return the folder that is written if the path is that of its key, which identifies its kind; else None."""
+        if self.to is not None or catalog.folder_of_key(self.path, scene) is None:
+            return None
+        return FolderTarget(str(Path(self.path).parent), self.force)
+
     def require(self, scene: str, **options: Any) -> catalog.Format:
         """Return the format to write. Call it before doing any work. Options that are None count as not given.
 

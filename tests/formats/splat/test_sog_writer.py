@@ -1,4 +1,4 @@
-"""Splats written as .sog, judged by gaussforge, and what the codebooks lose."""
+"""Splats written as .sog and as its folder, judged by gaussforge, and what the codebooks lose."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from nerfbake import Splats, load, measure_splats, save
+from nerfbake.errors import OutputError, UsageError
 from nerfbake.formats.splat import sog, sog_writer
-from nerfbake.jobs import convert_splats
+from nerfbake.io import save_folder
+from nerfbake.jobs import Target, convert_splats
+from nerfbake.jobs.splat_choice import SplatChoice
 from tests.formats.splat.test_ply import assert_same, columns_of, converted
 from tests.support.splats import splats
 
@@ -78,3 +81,27 @@ def test_a_palette_has_as_many_entries_as_it_may(monkeypatch: pytest.MonkeyPatch
     found, ordered = sog.splats_in({name: memoryview(data) for name, data in files.items()}), sog_writer.in_order(scene)
     error = np.sqrt(((found.sh[:, 1:] - ordered.sh[:, 1:]) ** 2).mean())
     assert error < 0.95 * ordered.sh[:, 1:].std()  # noise in 24 dimensions can hardly be told by 192 rows
+
+
+def test_a_folder_has_the_files_of_the_archive(tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", splats(90, degree=1))
+    convert_splats(tmp_path / "a.ply", tmp_path / "a.sog")
+    found = convert_splats(tmp_path / "a.ply", tmp_path / "scene" / "meta.json")
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        files = {path.name: path.read_bytes() for path in (tmp_path / "scene").iterdir()}
+        assert files == {name: archive.read(name) for name in archive.namelist()}
+    assert_same(found, load(tmp_path / "a.sog", Splats), atol=0)
+
+
+def test_a_folder_that_is_read_or_has_other_files_is_not_replaced(tmp_path: Path) -> None:
+    scene, out = tmp_path / "scene", Target(str(tmp_path / "scene" / "meta.json"), force=True)
+    save_folder(scene, splats(9, degree=0))
+    with pytest.raises(OutputError, match="contains the input"):
+        convert_splats(scene / "meta.json", out)
+    save(tmp_path / "a.ply", splats(8, degree=0))
+    assert convert_splats(tmp_path / "a.ply", out).n == 8
+    (scene / "mine.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"has 'mine.txt', which nerfbake did not write"):
+        convert_splats(tmp_path / "a.ply", out)
+    with pytest.raises(UsageError, match="sog_folder takes no option 'half'"):
+        convert_splats(tmp_path / "a.ply", tmp_path / "b" / "meta.json", choice=SplatChoice(half=True))
