@@ -1,4 +1,4 @@
-"""Read and write the folder of a .sog: meta.json with its pictures. Also read lod-meta.json with a folder for each part.
+"""Read and write the folder of a .sog: meta.json with its pictures. Also read lod-meta.json with its folders.
 
 formats/splat/sog.py describes the contents.
 """
