@@ -16,6 +16,7 @@ from nerfbake.cli.params import (
     as_json,
     bundled,
     console_options,
+    device_option,
     samples,
     source_argument,
     without_effect,
@@ -43,6 +44,7 @@ view_options = bundled(
     ),
     samples,
     world_option,
+    device_option,
 )
 limit_options = bundled(
     "limits",

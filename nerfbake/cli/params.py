@@ -391,9 +391,18 @@ def reading_options(
     )
 
 
+device_option = click.option(
+    "--device",
+    default="auto",
+    show_default=True,
+    metavar="auto|cpu|gpu|NAME",
+    help="What renders fields. auto: a graphics card if there is one; NAME: a part of a name in `info --devices`.",
+)
+
+
 def _check_budget(budget: Budget) -> None:
     if budget.min_psnr is None:
-        for name in ("cameras", "samples"):
+        for name in ("cameras", "samples", "device"):
             without_effect(name, here="without --min-psnr", allowed=f"--{name} with --min-psnr")
 
 
@@ -408,6 +417,7 @@ budget_options = bundled(
         help=f"Cameras for --min-psnr: {CAPTURE}.  [default: 8 views around IN]",
     ),
     samples,
+    device_option,
     check=_check_budget,
 )
 

@@ -18,6 +18,7 @@ from nerfbake.cli.params import (
     PixelSize,
     bundled,
     console_options,
+    device_option,
     grid_options,
     is_whole,
     lookup,
@@ -169,6 +170,7 @@ def mesh_options(function: Command) -> Command:
     help="A ray ends when its transmittance falls below this value. 0.5 makes an opaque cutout.",
 )
 @mesh_options
+@device_option
 @grid_options()
 @console_options
 def render(source: Source, pictures: PictureOutputs, shots: ViewSelection, console: Console, **options: Any) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from nerfbake.device import library
@@ -23,6 +25,8 @@ _KINDS: dict[str, Kind] = {
 _ORDER: list[Kind] = ["discrete", "integrated", "virtual", "software"]
 # Compute shaders through OpenGL have fewer buffers, and a card appears there a second time.
 _BACKENDS = ("Vulkan", "Metal", "D3D12")
+# NVIDIA's driver, and that of Windows in its Linux; other drivers have a file in /dev/dri.
+_CARDS = ("/dev/nvidiactl", "/dev/dxg")
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ def open_device(device: str = AUTO) -> Gpu | None:
 
     Raises UsageError if there is no such device, DeviceError if its driver fails.
     """
-    if device == CPU or (device == AUTO and not library.is_available()):
+    if device == CPU or (device == AUTO and not (may_have_card() and library.is_available())):
         return None
     try:
         adapter = _chosen(device)
@@ -71,6 +75,16 @@ def open_device(device: str = AUTO) -> Gpu | None:
         if device == AUTO:  # the CPU does the same work
             return None
         raise
+
+
+def may_have_card() -> bool:
+    """Whether this machine may have a graphics card, without loading a driver, which takes a second.
+
+    Linux has a file for every card; other systems are asked through the driver.
+    """
+    if sys.platform != "linux":
+        return True
+    return any(Path(file).exists() for file in _CARDS) or any(Path("/dev/dri").glob("renderD*"))
 
 
 def _chosen(name: str) -> tuple[Adapter, Any] | None:

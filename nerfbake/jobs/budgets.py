@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nerfbake import io
+from nerfbake.device.adapters import AUTO as DEVICE
 from nerfbake.errors import BudgetMissed, Problem
 from nerfbake.jobs.files import FolderTarget, Source, Target, read_back_as
 from nerfbake.jobs.steps import SILENT, Steps
@@ -24,11 +25,13 @@ class Budget:
     cameras   a capture with the views to compare; None: 8 views around the scene, or 8 of those that a
               trained field has
     samples   rays along each edge of a pixel; None: from the cameras, else 1
+    device    what renders fields, as in renderer_on()
     """
 
     min_psnr: float | None = None
     cameras: str | None = None
     samples: int | None = None
+    device: str = DEVICE
 
     def require(self, target: Target) -> None:
         """Check that the output can be compared. Call it before doing any work.
@@ -108,9 +111,11 @@ def judge_output(
     if budget.min_psnr is None:
         return None
 
+    from nerfbake.jobs.devices import renderer_on
     from nerfbake.jobs.views import renderable_scene, views_of
     from nerfbake.stages.scenes_to_comparison import compare_scenes
 
+    render = renderer_on(budget.device, steps=steps)
     seen = renderable_scene(steps, scene, made_from)
     views = views_of(
         steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE, samples=budget.samples, own=True
@@ -121,7 +126,8 @@ def judge_output(
     with Source(name).blamed(steps, "measuring the quality"):
         with steps.phase(f"reading {name}"), read_back_as(name):
             made = read(written)
-        found = compare_scenes(seen, made.turned() if up == "y" else made, views, keep_pictures=False)
+        upright = made.turned() if up == "y" else made
+        found = compare_scenes(seen, upright, views, keep_pictures=False, render=render)
         decibels = float(found.means["a_b"]["psnr"])
         io.report_result(psnr=decibels)
         found.require(min_psnr=budget.min_psnr)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES
+from nerfbake.jobs.devices import DEVICE, renderer_on
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.function_voxels import FunctionVoxels, World
 from nerfbake.jobs.grids import tell_unused
@@ -37,6 +38,7 @@ class ComparedViews:
     size     (W, H) pixels; None: that of the photographs or cameras, 400 x 400 for an orbit
     samples  rays along each edge of a pixel; None: from the cameras, else 1
     world    of trained fields: that of the user's cameras, or that of the network
+    device   what renders fields, as in renderer_on()
     """
 
     cameras: str | None = None
@@ -44,6 +46,7 @@ class ComparedViews:
     size: tuple[int, int] | None = None
     samples: int | None = None
     world: World = "original"
+    device: str = DEVICE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +108,7 @@ def compare_files(
     100.0
     """
     pages.require()
+    render = renderer_on(seen.device, steps=steps)
     first, second = as_source(a), as_source(b)
     if first.path == second.path == io.STREAM:
         raise UsageError("both scenes are stdin, which can be read once; allowed: '-' for one of them")
@@ -132,7 +136,7 @@ def compare_files(
     with second.blamed(steps, f"rendering {2 * len(views.cameras)} pictures"):
         if pages:
             views.require_memory(pictures=6 if photographs else 4)
-        found = compare_scenes(scene, other, views, truth=photographs, keep_pictures=bool(pages))
+        found = compare_scenes(scene, other, views, truth=photographs, keep_pictures=bool(pages), render=render)
     if pages.sheet:
         io.save(pages.sheet, found.sheet, force=pages.force)
     if pages.html:

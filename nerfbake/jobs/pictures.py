@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeAlias, Unpack
 
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
+from nerfbake.jobs.devices import DEVICE, renderer_on
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.function_voxels import FunctionVoxels, World
 from nerfbake.jobs.grids import GridChoice
@@ -30,11 +31,12 @@ from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
-from nerfbake.stages.field_to_image import RenderOptions, render_field
+from nerfbake.stages.field_to_image import RenderOptions
 from nerfbake.stages.function_to_image import render_function
 from nerfbake.stages.lattice_to_image import render_lattice
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.octree_to_octree import cut_octree
+from nerfbake.stages.renderers import Renderer
 from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1
 
@@ -173,6 +175,7 @@ def render_views(
     lod: int | None = None,
     choice: GridChoice = GridChoice(),
     mesh: PlacedMesh | None = None,
+    device: str = DEVICE,
     steps: Steps = SILENT,
     **options: Unpack[RenderOptions],
 ) -> list[str]:
@@ -184,6 +187,7 @@ def render_views(
 
     lod      level of an octree to render
     choice   the grids of a volume
+    device   what renders a field, as in renderer_on()
     options  are passed to render_field(); for a lattice to render_lattice(), which renders like the program that
              trained it and ignores the lookup; for a trained field to render_function(), whose default is the
              background that the field was trained with. Splats and triangles take a background only
@@ -198,11 +202,12 @@ def render_views(
     pictures = pictures if isinstance(pictures, PictureOutputs) else PictureOutputs(out=str(pictures))
     shots.require()
     pictures.require(several=shots.several)
+    render = renderer_on(device, steps=steps)
     field = _read(steps, source, lod, choice, shots.world, alone=mesh is None)
     views = shots.of(steps, field, source.name)
     together = pictures.together(several=shots.several)
     paths = [pictures.out] if together else pictures.settle(views.cameras, several=shots.several)
-    drawn = _drawn(steps, source, views.cameras, _renderer(steps, field, mesh, views.samples, options))
+    drawn = _drawn(steps, source, views.cameras, _renderer(steps, field, mesh, views.samples, options, render))
     if together:
         with io.blame(pictures.out):
             views.require_memory()
@@ -234,9 +239,9 @@ def _read(steps: Steps, source: Source, lod: int | None, choice: GridChoice, wor
 
 
 def _renderer(
-    steps: Steps, field: Field, mesh: PlacedMesh | None, samples: int, options: RenderOptions
-) -> Callable[..., Image]:
-    """Return the function that renders a camera.
+    steps: Steps, field: Field, mesh: PlacedMesh | None, samples: int, options: RenderOptions, render: Renderer
+) -> Callable[[Iterable[Camera]], Iterator[Image]]:
+    """Return the function that renders cameras, each on demand.
 
     Lattices and trained fields have their own lookup, so that option is dropped. Raises UsageError for options that the
     scene does not have.
@@ -247,29 +252,33 @@ def _renderer(
             if options.get(name, default) != default:
                 raise UsageError(f"`{name}` has no effect on {noun}; allowed: with a field")
         background = options.get("background", WHITE)
-        if isinstance(field, Splats):
-            return partial(render_splats, field, samples=samples, background=background)
-        render: Any = render_meshes if isinstance(field, Meshes) else render_stage1
-        return partial(render, field, samples=samples, background=background)
+        shape: Any = render_meshes if isinstance(field, Meshes) else render_stage1
+        shape = render_splats if isinstance(field, Splats) else shape
+        return partial(map, partial(shape, field, samples=samples, background=background))
     if isinstance(field, FunctionField):
         given: dict[str, Any] = {name: value for name, value in options.items() if name != "lookup"}
         if isinstance(field.background, tuple):
             given = {"background": field.background, **given}
-        return partial(render_function, field, samples=samples, **given)
+        return partial(map, partial(render_function, field, samples=samples, **given))
     if isinstance(field, LatticeField):
         if "lookup" in options:
             del options["lookup"]
-        return partial(render_lattice, field, samples=samples, **options)  # type: ignore[misc]
+        return partial(map, partial(render_lattice, field, samples=samples, **options))  # type: ignore[misc]
     if mesh is None:
-        return partial(render_field, field, samples=samples, **options)
-    return partial(render_field_and_meshes, field, mesh.read(steps), how=mesh.how, samples=samples, **options)
+        return partial(render.each, field, samples=samples, **options)
+    meshes = mesh.read(steps)
+    both = partial(render_field_and_meshes, field, meshes, how=mesh.how, samples=samples, render=render, **options)
+    return partial(map, both)
 
 
-def _drawn(steps: Steps, source: Source, views: Sequence[Camera], render: Callable[..., Image]) -> Iterator[Image]:
+def _drawn(
+    steps: Steps, source: Source, views: Sequence[Camera], render: Callable[[Iterable[Camera]], Iterator[Image]]
+) -> Iterator[Image]:
     """Yield the picture of each view, rendered on demand."""
+    images = render(views)
     for view in views:
         with source.blamed(steps, f"rendering {view.name}"):
-            image = render(camera=view)
+            image = next(images)
         yield image
 
 

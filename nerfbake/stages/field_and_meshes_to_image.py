@@ -13,8 +13,9 @@ from nerfbake.scene.mesh import Composite, Meshes
 from nerfbake.scene.octree import Lookup
 from nerfbake.scene.radiance_field import RadianceField, require_field
 from nerfbake.stages._supersampled import supersampled
-from nerfbake.stages.field_to_image import RenderOptions, render_field
+from nerfbake.stages.field_to_image import RenderOptions
 from nerfbake.stages.meshes_to_image import render_meshes
+from nerfbake.stages.renderers import KERNELS, Renderer
 
 
 def render_field_and_meshes(
@@ -27,6 +28,7 @@ def render_field_and_meshes(
     transmittance_cut: float = 1e-4,
     lookup: Lookup = "nearest",
     samples: int = 1,
+    render: Renderer = KERNELS,
 ) -> Image:
     """Render a field with opaque meshes in the same world coordinates. For the other options see render_field().
 
@@ -38,7 +40,8 @@ def render_field_and_meshes(
            wrong where a ray crosses parts of the field on both sides of the mesh
 
     With samples x samples rays per pixel, each ray ends or is tested separately, and the pixel is their mean as in
-    render_field(), also at the edges of a mesh. Source: TR-24-01 (docs/sources.md), section 5.2.
+    render_field(), also at the edges of a mesh. render: renders the field. Source: TR-24-01 (docs/sources.md),
+    section 5.2.
 
     >>> import numpy as np
     >>> from nerfbake import Mesh, Meshes, build_field, orbit_cameras, render_field_and_meshes, sample_n3tree
@@ -52,16 +55,18 @@ def render_field_and_meshes(
         raise InvalidScene(Problem("composite", f"is {how!r}", ", ".join(get_args(Composite))))
     require_field(field)
     options: RenderOptions = {"background": None, "transmittance_cut": transmittance_cut, "lookup": lookup}
-    image = supersampled(lambda part: _rendered(field, meshes, part, how, options), camera, samples)
+    image = supersampled(lambda part: _rendered(field, meshes, part, how, options, render), camera, samples)
     return image if background is None else image.over(background)
 
 
-def _rendered(field: RadianceField, meshes: Meshes, camera: Camera, how: Composite, options: RenderOptions) -> Image:
+def _rendered(
+    field: RadianceField, meshes: Meshes, camera: Camera, how: Composite, options: RenderOptions, render: Renderer
+) -> Image:
     """Render with one ray per pixel over a transparent background."""
     mesh = render_meshes(meshes, camera, background=None)
     solid = mesh.alpha > 0
     stop = np.where(solid, mesh.depth, np.inf).astype(np.float64) if how == "stop" else None
-    fog = render_field(field, camera, stop=stop, **options)
+    fog = render(field, camera, stop=stop, **options)
     hidden = solid & (fog.depth >= mesh.depth) & (how == "ztest")
     near = np.where(hidden, 0, fog.alpha).astype(np.float32)
     left = (1 - near) * mesh.alpha

@@ -14,10 +14,10 @@ from nerfbake.scene.mesh import Meshes, vertex_box
 from nerfbake.scene.radiance_field import RadianceField, require_field
 from nerfbake.scene.splats import Splats, up_axes
 from nerfbake.scene.stage1 import Stage1
-from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.function_to_image import render_function
 from nerfbake.stages.lattice_to_image import render_lattice
 from nerfbake.stages.meshes_to_image import render_meshes
+from nerfbake.stages.renderers import KERNELS, Renderer
 from nerfbake.stages.scene_to_field import FieldSource, build_field
 from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1, surfaces
@@ -33,8 +33,11 @@ def renderable(scene: Visible | FieldSource) -> Visible:
     return scene if isinstance(scene, Visible) else build_field(scene)
 
 
-def render_picture(scene: Visible, camera: Camera, *, samples: int = 1) -> Image:
-    """Render the scene over white, with samples x samples rays per pixel (splats: see render_splats())."""
+def render_picture(scene: Visible, camera: Camera, *, samples: int = 1, render: Renderer = KERNELS) -> Image:
+    """Render the scene over white, with samples x samples rays per pixel (splats: see render_splats()).
+
+    render: renders fields.
+    """
     if isinstance(scene, Meshes):
         return render_meshes(scene, camera, samples=samples)
     if isinstance(scene, Stage1 | BakedAtlas):
@@ -45,7 +48,7 @@ def render_picture(scene: Visible, camera: Camera, *, samples: int = 1) -> Image
         return render_function(scene, camera, samples=samples)
     if isinstance(scene, Splats):
         return render_splats(scene, camera, samples=samples)
-    return render_field(scene, camera, samples=samples)
+    return render(scene, camera, samples=samples)
 
 
 def scene_frame(scene: Visible) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

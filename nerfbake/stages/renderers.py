@@ -48,12 +48,12 @@ class DeviceRenderer:
     """Renders on a device, with float32: pictures differ from those of the CPU by less than 1/255.
 
     A field stays in the device's memory as long as it exists. What the device cannot do, and everything after an error
-    of the device, is rendered by the CPU. tell: is called with one line then.
+    of the device, is rendered by the CPU. tell: is called with one line then, and for the first field.
     """
 
     def __init__(self, gpu: Gpu, tell: Tell) -> None:
         self._gpu: Gpu | None = gpu
-        self._tell, self._told = tell, False
+        self._tell, self._named, self._told = tell, False, False
         self._fields: WeakKeyDictionary[RadianceField, FieldOnDevice | None] = WeakKeyDictionary()
 
     def __call__(self, field: RadianceField, camera: Camera, **options: Any) -> Image:
@@ -101,6 +101,9 @@ class DeviceRenderer:
         if field not in self._fields:
             try:
                 self._fields[field] = FieldOnDevice(self._gpu, field)
+                if not self._named:
+                    self._tell(f"renders on {self._gpu.name}")
+                self._named = True
             except DeviceError as error:
                 self._say(error)
                 self._fields[field] = None

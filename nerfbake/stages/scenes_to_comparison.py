@@ -16,6 +16,7 @@ from nerfbake.scene.comparison import Comparison
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.stages.picture import Visible, render_picture, renderable
+from nerfbake.stages.renderers import KERNELS, Renderer
 from nerfbake.stages.scene_to_field import FieldSource
 
 MAX_POINTS = 200_000  # most leaves whose values are compared
@@ -30,12 +31,13 @@ def compare_scenes(
     truth: Sequence[Image] | None = None,
     keep_pictures: bool = True,
     pictures_of_a: Sequence[Image] | None = None,
+    render: Renderer = KERNELS,
 ) -> Comparison:
     """Render both scenes with every camera, over white, and measure the differences.
 
     truth: a photograph for each camera. keep_pictures: False keeps only one view's pictures in memory at a time; the
     comparison then has no pictures to draw. pictures_of_a: those of render_picture() with these cameras and their
-    samples, if a is compared with several scenes; None: they are rendered.
+    samples, if a is compared with several scenes; None: they are rendered. render: renders fields.
 
     The number of rays per pixel is that of the cameras. Fields are built for scenes of other types; pass a field that
     you have already built to save this time. Errors are on sRGB in 0..1, before rounding to 8 bits. Raises InvalidScene
@@ -61,7 +63,7 @@ def compare_scenes(
         camera.require_memory(_PIXEL_BYTES)
         known = {} if pictures_of_a is None else {"a": pictures_of_a[i]}
         both = progress.each([(name, scene) for name, scene in (("a", one), ("b", other)) if name not in known])
-        seen = known | {name: render_picture(scene, camera, samples=samples) for name, scene in both}
+        seen = known | {name: render_picture(scene, camera, samples=samples, render=render) for name, scene in both}
         view: dict[str, Any] = {"name": camera.name, "a_b": _errors(seen["a"], seen["b"])}
         photograph = None
         if truth is not None:

@@ -17,8 +17,8 @@ from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.views import Views
-from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.meshes_to_image import render_meshes
+from nerfbake.stages.renderers import KERNELS, Renderer
 from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1
 
@@ -59,10 +59,13 @@ def plain_psnr(views: Views) -> float:
     return sum(found) / len(found)
 
 
-def measure_views(scene: Measured, views: Views, *, samples: int = 1) -> tuple[ViewError, ...]:
+def measure_views(
+    scene: Measured, views: Views, *, samples: int = 1, render: Renderer = KERNELS
+) -> tuple[ViewError, ...]:
     """Render every view over its background, and measure it against its photograph.
 
     Vertex colours of meshes are shown as they are, without light. samples: as in render_field(); no effect on splats.
+    render: renders fields.
     Errors are on sRGB in 0..1, before rounding to 8 bits, as in compare_scenes(). Raises InvalidScene for lenses that
     do not cover their pictures, MemoryLimit.
 
@@ -75,10 +78,10 @@ def measure_views(scene: Measured, views: Views, *, samples: int = 1) -> tuple[V
     True
     """
     views.cameras.require_covered()
-    render, errors = _renderer(scene), []
+    shown_by, errors = _renderer(scene, render), []
     for i, camera in progress.each(list(enumerate(views.cameras.cameras))):
         camera.require_memory(_PIXEL_BYTES)
-        made = render(camera, background=views.background, samples=samples).colour.astype(np.float64)
+        made = shown_by(camera, background=views.background, samples=samples).colour.astype(np.float64)
         truth, used = views.photograph(i).astype(np.float64), views.used(i)
         made[~used] = truth[~used]
         shown = used if views.scenery else used & ~views.behind(i)
@@ -88,12 +91,12 @@ def measure_views(scene: Measured, views: Views, *, samples: int = 1) -> tuple[V
     return tuple(errors)
 
 
-def _renderer(scene: Measured) -> Callable[..., Image]:
+def _renderer(scene: Measured, render: Renderer) -> Callable[..., Image]:
     if isinstance(scene, Meshes):
         return partial(render_meshes, scene, lit=False)
     if isinstance(scene, Splats):
         return partial(render_splats, scene)
-    return partial(render_stage1 if isinstance(scene, Stage1) else render_field, scene)  # type: ignore[arg-type]
+    return partial(render_stage1, scene) if isinstance(scene, Stage1) else partial(render, scene)
 
 
 def measure_silhouettes(scene: RadianceField | Meshes, views: Views) -> tuple[float, ...]:
@@ -111,7 +114,7 @@ def measure_silhouettes(scene: RadianceField | Meshes, views: Views) -> tuple[fl
     (1.0,)
     """
     views.cameras.require_covered()
-    render, found = _renderer(scene), []
+    render, found = _renderer(scene, KERNELS), []
     for i, camera in progress.each(list(enumerate(views.cameras.cameras))):
         made = render(camera).alpha >= 0.5
         truth = views.pictures[i][..., 3] >= 128 if views.masked else ~views.behind(i)

@@ -24,6 +24,7 @@ def present(monkeypatch: pytest.MonkeyPatch) -> list[Adapter]:
     monkeypatch.setattr(adapters, "_opened", lambda adapter, _: adapter.name)
     monkeypatch.setattr("nerfbake.installation.is_installed", lambda _: True)
     monkeypatch.setattr(library, "is_available", lambda: True)
+    monkeypatch.setattr(adapters, "may_have_card", lambda: True)
     return found
 
 
