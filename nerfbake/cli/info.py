@@ -7,18 +7,21 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import as_json, console_options, source_argument
+from nerfbake.cli.params import as_json, console_options, max_memory
+from nerfbake.cli.paths import Reads
 from nerfbake.console import LONGEST_TOLD, Console
 from nerfbake.errors import for_shell, format_size, one_line
 from nerfbake.jobs.files import Source
 
 
 @click.command()
-@source_argument
+@click.argument("source", metavar="[IN]", required=False, type=Reads(allow_dash=True))
+@click.option("--devices", is_flag=True, help="List the graphics adapters of this machine instead.")
 @as_json
+@max_memory
 @console_options
-def info(source: Source, as_json: bool, console: Console) -> None:
-    """Describe a file or folder.
+def info(source: str | None, devices: bool, as_json: bool, console: Console) -> None:
+    """Describe a file, a folder or graphics cards.
 
     Prints the kind, basis, resolution, nodes and leaves per level, world box, value ranges and sizes of IN.
 
@@ -31,15 +34,45 @@ def info(source: Source, as_json: bool, console: Console) -> None:
       nerfbake info chair.npz
       nerfbake info chair.svo.pb --json | jq .nodes
       nerfbake info atlas_64 --json | jq '.cascades[].errors.mae'
+      nerfbake info --devices
     """
+
+    if devices:
+        if source is not None:
+            raise click.UsageError("--devices describes no file; allowed: IN or --devices")
+        _print_devices(as_json)
+        return
+    if source is None:
+        raise click.UsageError("Missing argument 'IN'; allowed: a file or folder, or --devices")
 
     from nerfbake.jobs.descriptions import describe_file
 
-    facts = describe_file(source, steps=console)
+    facts = describe_file(Source(source), steps=console)
     if as_json:
         io.print_json(facts)
         return
     _table(facts)
+
+
+def _print_devices(as_json: bool) -> None:
+    from nerfbake.jobs.devices import describe_devices, missing_library
+
+    found = describe_devices()
+    if as_json:
+        io.print_json({"devices": found})
+        return
+    for device in found:
+        name = one_line(device["name"])
+        chosen = "by default" if device["default"] else f"with --device '{name}'"
+        io.print_text(name)
+        io.print_text(f"  {device['kind']}, {device['backend']}, {one_line(device['driver'])}")
+        size = format_size(device["bytes_of_buffer"])
+        io.print_text(f"  renders fields of up to {device['cells']:,} cells with SH9 (buffers of {size})")
+        slow = "; it computes on the CPU, slower than nerfbake itself" if device["kind"] == "software" else ""
+        io.print_text(f"  used {chosen}{slow}")
+    if not found:
+        missing = missing_library()
+        io.print_text("no graphics adapter" + (f"; to look for one: {missing}" if missing else ""))
 
 
 def _table(facts: dict[str, Any]) -> None:

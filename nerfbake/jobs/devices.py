@@ -1,14 +1,44 @@
-"""The choice of what renders fields, made once by a job."""
+"""The choice of what renders fields, made once by a job, and what there is to choose from."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from nerfbake.device.adapters import AUTO as DEVICE
-from nerfbake.device.adapters import open_device
+from nerfbake.device.adapters import list_adapters, open_device
+from nerfbake.installation import command_for, is_installed
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.stages.renderers import KERNELS, DeviceRenderer, Renderer
 
+_CELL_BYTES = 4 * 28  # of a cell with SH9 and density
 
-def renderer_on(device: str = DEVICE, *, steps: Steps = SILENT) -> Renderer:
+
+def describe_devices() -> list[dict[str, Any]]:
+    """Return what `--device` can choose here: each graphics adapter, cards first.
+
+    cells: of the largest field with SH9 that the adapter renders. default: `auto` chooses it. Raises DeviceError.
+    """
+    found = list_adapters()
+    return [
+        {
+            "name": adapter.name,
+            "kind": adapter.kind,
+            "backend": adapter.backend,
+            "driver": adapter.driver,
+            "bytes_of_buffer": adapter.largest_binding,
+            "cells": adapter.largest_binding // _CELL_BYTES,
+            "default": adapter.is_card and adapter is found[0],
+        }
+        for adapter in found
+    ]
+
+
+def missing_library() -> str | None:
+    """Return the command that installs what graphics cards need; None if it is installed."""
+    return None if is_installed("wgpu") else command_for("wgpu")
+
+
+def renderer_on(steps: Steps, device: str = DEVICE) -> Renderer:
     """Return what renders fields on a device. Prints the name of the card when it gets the first field.
 
     device  auto: a graphics card if there is one, else the CPU; cpu; gpu: a graphics card; or a part of an adapter's
@@ -17,7 +47,7 @@ def renderer_on(device: str = DEVICE, *, steps: Steps = SILENT) -> Renderer:
     If a card fails later, a line says so, and the CPU renders what is left. Raises UsageError if there is no such
     device.
 
-    >>> renderer_on("cpu") is KERNELS
+    >>> renderer_on(SILENT, "cpu") is KERNELS
     True
     """
     gpu = open_device(device)

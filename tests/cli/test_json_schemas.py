@@ -43,6 +43,7 @@ LINES = {
     "info baked --json": 0,
     "info twice.json --json": 0,
     "info a.glb --max-memory 600kB --json": 0,
+    "info --devices --json": 0,
     "compare a.npz a.svo.pb --size 9x9 --json": 0,
     "compare a.npz coarse.svo.pb --cameras c.json --truth truth --json": 0,
     "compare a.npz coarse.svo.pb --size 9x9 --min-psnr 90 --json": 3,
