@@ -11,8 +11,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from nerfbake import __version__, catalog, io, memory, progress
 from nerfbake.errors import (
     InvalidFile,
@@ -41,7 +39,6 @@ from nerfbake.jobs.shipping_list import FILES, ListedFile, require_targets
 from nerfbake.jobs.splats import SplatsOptions, SplatsViews, bake_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
 from nerfbake.jobs.views import in_one_world, renderable_scene, views_of
-from nerfbake.kernels.picture.reduction import reduced_picture
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.image import Image
@@ -319,10 +316,7 @@ class _Judge(NamedTuple):
 
 def _small(picture: Image) -> Image:
     """Return a picture as means of pixels, so that the report is small."""
-    factor = -(-max(picture.size) // _SHOWN)
-    pixels = reduced_picture(picture.pixels, factor)
-    whole = np.ones(pixels.shape[:2], np.float32)
-    return Image(pixels[..., :3].astype(np.float32) / np.float32(255), whole, np.zeros_like(whole))
+    return picture.reduced(-(-max(picture.size) // _SHOWN))
 
 
 def _library(path: Path, listed: ListedFile) -> str:

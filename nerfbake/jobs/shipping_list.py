@@ -12,7 +12,7 @@ from typing import NamedTuple
 from nerfbake.errors import UsageError
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.octree import SparseVoxelOctree
-from nerfbake.scene.shipment import Reader
+from nerfbake.scene.shipment import ReadingProgram
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.volume import Volume
 
@@ -25,7 +25,7 @@ class ListedFile(NamedTuple):
 
     what: str
     scene: type | None
-    readers: tuple[Reader, ...]
+    readers: tuple[ReadingProgram, ...]
 
 
 _UPRIGHT = "every number; turns nothing"
@@ -34,88 +34,92 @@ FILES: dict[str, ListedFile] = {
         "page to look around in",
         None,
         (
-            Reader("Chromium", "156", "shows the scene as nerfbake renders it", "ran"),
-            Reader("Firefox", "153", "shows the scene as nerfbake renders it", "ran"),
-            Reader("Safari", "", "", "not run"),
+            ReadingProgram("Chromium", "156", "shows the scene as nerfbake renders it", "ran"),
+            ReadingProgram("Firefox", "153", "shows the scene as nerfbake renders it", "ran"),
+            ReadingProgram("Safari", "", "", "not run"),
         ),
     ),
     "scene.vdb": ListedFile(
         "volume of density and mean colour",
         Volume,
         (
-            Reader("OpenVDB", "10.0.1", "every voxel", "ran"),
-            Reader("Blender", "3.4", "renders the object where it is", "ran"),
-            Reader("Blender", "5.3", "", "not run"),
-            Reader("Houdini", "", "", "not run"),
+            ReadingProgram("OpenVDB", "10.0.1", "every voxel", "ran"),
+            ReadingProgram("Blender", "3.4", "renders the object where it is", "ran"),
+            ReadingProgram("Blender", "5.3", "", "not run"),
+            ReadingProgram("Houdini", "", "", "not run"),
         ),
     ),
     "mesh.usdz": ListedFile(
         "triangles with a texture",
         Meshes,
         (
-            Reader("usd-core", "26.11", "triangles, texture, material; no errors of its validators", "ran"),
-            Reader("usd-core", "26.5", "no failed check of ARKit's rules", "ran"),
-            Reader("Blender", "5.0.1", "upright, with its texture", "ran"),
-            Reader("tinyusdz", "0.9.4", "opens it", "ran"),
-            Reader("AR Quick Look", "", "", "not run"),
-            Reader("Omniverse", "", "", "not run"),
+            ReadingProgram("usd-core", "26.11", "triangles, texture, material; no errors of its validators", "ran"),
+            ReadingProgram("usd-core", "26.5", "no failed check of ARKit's rules", "ran"),
+            ReadingProgram("Blender", "5.0.1", "upright, with its texture", "ran"),
+            ReadingProgram("tinyusdz", "0.9.4", "opens it", "ran"),
+            ReadingProgram("AR Quick Look", "", "", "not run"),
+            ReadingProgram("Omniverse", "", "", "not run"),
         ),
     ),
     "splats.spz": ListedFile(
         "Gaussian splats, compressed, SPZ 4, y up",
         Splats,
         (
-            Reader("splat-transform", "3.7.0", _UPRIGHT, "ran"),
-            Reader("gaussforge", "0.6.0", _UPRIGHT, "ran"),
-            Reader("gsply", "0.4.6", f"{_UPRIGHT}; needs gsply[spz]", "ran"),
-            Reader("usd-convert-gsplat", "0.1.15", "refuses SPZ 4", "ran"),
-            Reader("Omniverse's converter", "", "SPZ 2 and 3 alone", "read"),
+            ReadingProgram("splat-transform", "3.7.0", _UPRIGHT, "ran"),
+            ReadingProgram("gaussforge", "0.6.0", _UPRIGHT, "ran"),
+            ReadingProgram("gsply", "0.4.6", f"{_UPRIGHT}; needs gsply[spz]", "ran"),
+            ReadingProgram("usd-convert-gsplat", "0.1.15", "refuses SPZ 4", "ran"),
+            ReadingProgram("Omniverse's converter", "", "SPZ 2 and 3 alone", "read"),
         ),
     ),
     "splats.sog": ListedFile(
         "Gaussian splats, compressed",
         Splats,
         (
-            Reader("splat-transform", "3.7.0", _UPRIGHT, "ran"),
-            Reader("gaussforge", "0.6.0", _UPRIGHT, "ran"),
+            ReadingProgram("splat-transform", "3.7.0", _UPRIGHT, "ran"),
+            ReadingProgram("gaussforge", "0.6.0", _UPRIGHT, "ran"),
         ),
     ),
     "splats.ply": ListedFile(
         "Gaussian splats, y down",
         Splats,
         (
-            Reader("splat-transform", "3.7.0", _UPRIGHT, "ran"),
-            Reader("gaussforge", "0.6.0", _UPRIGHT, "ran"),
-            Reader("usd-convert-gsplat", "0.1.15", "says that y is up: upside down", "ran"),
-            Reader("Blender", "5.3", "", "not run"),
+            ReadingProgram("splat-transform", "3.7.0", _UPRIGHT, "ran"),
+            ReadingProgram("gaussforge", "0.6.0", _UPRIGHT, "ran"),
+            ReadingProgram("usd-convert-gsplat", "0.1.15", "says that y is up: upside down", "ran"),
+            ReadingProgram("Blender", "5.3", "", "not run"),
         ),
     ),
     "splats.usdc": ListedFile(
         "Gaussian splats, OpenUSD 26.03 or newer",
         Splats,
         (
-            Reader("usd-core", "26.11", "every attribute, bit for bit; no errors of its validators", "ran"),
-            Reader("usd-validation-nvidia", "1.22.0", "passes VG.035, its rule for splats", "ran"),
-            Reader("tinyusdz", "0.9.4", "every number", "ran"),
-            Reader("Omniverse Kit and RTX", "110.1", "renders", "read"),
-            Reader("Blender", "5.0.1", "brings nothing", "ran"),
+            ReadingProgram("usd-core", "26.11", "every attribute, bit for bit; no errors of its validators", "ran"),
+            ReadingProgram("usd-validation-nvidia", "1.22.0", "passes VG.035, its rule for splats", "ran"),
+            ReadingProgram("tinyusdz", "0.9.4", "every number", "ran"),
+            ReadingProgram("Omniverse Kit and RTX", "110.1", "renders", "read"),
+            ReadingProgram("Blender", "5.0.1", "brings nothing", "ran"),
         ),
     ),
     "scene.svo.pb": ListedFile(
         "octree, Protocol Buffers",
         SparseVoxelOctree,
         (
-            Reader("engines/unity, C# under Mono", "6.8", "every bit", "ran"),
-            Reader("Unity", "2021.3", "", "not run"),
+            ReadingProgram("engines/unity, C# under Mono", "6.8", "every bit", "ran"),
+            ReadingProgram("Unity", "2021.3", "", "not run"),
         ),
     ),
     "scene.svo.npz": ListedFile(
-        "octree with all of its values, plain arrays", SparseVoxelOctree, (Reader("NumPy", "2", "every array", "ran"),)
+        "octree with all of its values, plain arrays",
+        SparseVoxelOctree,
+        (ReadingProgram("NumPy", "2", "every array", "ran"),),
     ),
     "scene.svoq": ListedFile(
-        "octree, compressed to a loss of 0.1 dB", SparseVoxelOctree, (Reader("nerfbake", "", "all of it", "ran"),)
+        "octree, compressed to a loss of 0.1 dB",
+        SparseVoxelOctree,
+        (ReadingProgram("nerfbake", "", "all of it", "ran"),),
     ),
-}  # fmt: skip
+}
 TARGETS: dict[str, tuple[str, ...]] = {
     "blender": ("scene.vdb", "mesh.usdz", "splats.ply"),
     "web": ("scene.html", "splats.spz", "splats.sog"),

@@ -65,6 +65,20 @@ class Image(Scene):
         colour = self.colour + (1 - self.alpha[..., None]) * np.array(background, np.float32)
         return replace(self, colour=colour, background=background)
 
+    def reduced(self, factor: int) -> Image:
+        """The means of factor x factor pixels, without the rows and columns that are left over. It has no depth."""
+        height, width = (edge // factor for edge in self.alpha.shape)
+
+        def means(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+            total = np.zeros((height, width, *values.shape[2:]), np.float32)
+            for y in range(factor):
+                for x in range(factor):
+                    total += values[y : height * factor : factor, x : width * factor : factor]
+            return np.asarray(total / np.float32(factor * factor), np.float32)
+
+        alpha = means(self.alpha)
+        return Image(means(self.colour), alpha, np.zeros_like(alpha), self.background)
+
     @staticmethod
     def tiled(images: Sequence[Image], *, columns: int | None = None) -> Image:
         """A contact sheet: rows from the top left, with cells as large as the largest image.

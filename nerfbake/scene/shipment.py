@@ -9,7 +9,7 @@ from nerfbake.scene.base import Scene
 from nerfbake.scene.image import Image
 
 
-class Reader(NamedTuple):
+class ReadingProgram(NamedTuple):
     """A program that reads a file of this format, or might.
 
     version  '' if it is not known
@@ -56,7 +56,7 @@ class ShippedFile(NamedTuple):
     name: str
     targets: tuple[str, ...]
     what: str
-    readers: tuple[Reader, ...]
+    readers: tuple[ReadingProgram, ...]
     bytes: int
     seconds: float
     cpu_seconds: float

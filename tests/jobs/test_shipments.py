@@ -199,7 +199,7 @@ def test_splats_are_shipped_upright_and_judged_in_their_own_world() -> None:
     assert load("out/scene.svo.npz").size[2] == max(load("out/scene.svo.npz").size)
     for words in ({"cameras": "c"}, {"pictures": jobs.ShippedViews(views="c")}):
         with pytest.raises(UsageError, match=r"splats are turned upright, and `(cameras|views)` are not"):
-            jobs.ship_file("ball.ply", "other", targets=("unity",), **words)  # type: ignore[arg-type]
+            jobs.ship_file("ball.ply", "other", targets=("unity",), **words)
 
 
 @pytest.mark.parametrize("kind", ["lattice", "function"])

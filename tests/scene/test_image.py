@@ -55,3 +55,13 @@ def test_the_first_background_or_none_shows_between() -> None:
     mixed = Image.tiled([plain(0.0, background=(1.0, 0.0, 0.0)), clear], columns=2)
     assert mixed.pixels[0, 3].tolist() == [255, 0, 0]
     assert mixed.colour[0, 7].tolist() == [0.75, 0.25, 0.25]
+
+
+def test_a_reduced_picture_has_the_means_of_its_pixels() -> None:
+    colour = np.arange(5 * 4 * 3, dtype=np.float32).reshape(5, 4, 3)
+    alpha = np.arange(20, dtype=np.float32).reshape(5, 4)
+    small = Image(colour, alpha, np.ones_like(alpha), None).reduced(2)
+    assert small.size == (2, 2)
+    assert small.background is None
+    np.testing.assert_allclose(small.colour[1, 0], colour[2:4, :2].mean(axis=(0, 1)), rtol=1e-6)
+    np.testing.assert_allclose(small.alpha, [[2.5, 4.5], [10.5, 12.5]], rtol=1e-6)

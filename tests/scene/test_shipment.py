@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from nerfbake import Image
-from nerfbake.scene.shipment import Judgement, Reader, SharedStep, Shipment, ShippedFile
+from nerfbake.scene.shipment import Judgement, ReadingProgram, SharedStep, Shipment, ShippedFile
 
-READERS = (Reader("a", "1", "all", "ran"), Reader("b", "", "", "not run"))
+READERS = (ReadingProgram("a", "1", "all", "ran"), ReadingProgram("b", "", "", "not run"))
 EMPTY = ShippedFile("x.ply", ("web",), "splats", READERS, 0, 0.0, 0.0, None, "no memory")
 
 

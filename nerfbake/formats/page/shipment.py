@@ -12,7 +12,7 @@ from pathlib import PurePath
 from nerfbake.formats.picture import png
 from nerfbake.formats.wire.page import END, beginning, figure, picture, table, text
 from nerfbake.scene.comparison import AMPLIFIED
-from nerfbake.scene.shipment import Judgement, Reader, Shipment, ShippedFile
+from nerfbake.scene.shipment import Judgement, ReadingProgram, Shipment, ShippedFile
 
 _STYLE = """<style>
 a { color: inherit; }
@@ -100,5 +100,5 @@ def _judged(name: str, judged: Judgement) -> str:
     return f'<p>{told}</p>\n<div class="row">\n{"".join(shown)}</div>\n'
 
 
-def _reader(reader: Reader) -> list[str]:
+def _reader(reader: ReadingProgram) -> list[str]:
     return [text(f"{reader.program} {reader.version}".strip()), text(reader.reads), _KNOWN[reader.known]]

@@ -6,6 +6,7 @@ import base64
 import io
 from dataclasses import replace
 
+import numpy as np
 from PIL import Image as Pillow
 
 from nerfbake.formats.page.shipment import encode
@@ -29,7 +30,7 @@ def test_each_row_has_its_figures_and_pictures() -> None:
     assert [each["alt"] for each in pictures] == ["the scene", "x.ply", "difference, 8 times as strong"]
     data = base64.b64decode(str(pictures[1]["src"]).removeprefix("data:image/png;base64,"))
     with Pillow.open(io.BytesIO(data)) as shown:
-        assert shown.getpixel((0, 0))[:3] == (102, 102, 102)
+        assert np.asarray(shown)[0, 0, :3].tolist() == [102, 102, 102]
 
 
 def test_all_files_there_is_the_headline() -> None:
