@@ -25,6 +25,7 @@ from .scene.octree import SparseVoxelOctree as SparseVoxelOctree
 from .scene.page import Page as Page
 from .scene.page import PageField as PageField
 from .scene.page import PageSurface as PageSurface
+from .scene.page_splats import PageSplats as PageSplats
 from .scene.quantised_octree import QuantisedOctree as QuantisedOctree
 from .scene.radiance_field import RadianceField as RadianceField
 from .scene.shipment import Shipment as Shipment
@@ -92,6 +93,7 @@ from .stages.specular_to_clusters import identify_colours as identify_colours
 from .stages.splats_to_image import render_splats as render_splats
 from .stages.splats_to_loss import measure_splats as measure_splats
 from .stages.splats_to_octree import build_octree_from_splats as build_octree_from_splats
+from .stages.splats_to_page_splats import build_page_splats as build_page_splats
 from .stages.splats_to_splats import cut_floaters as cut_floaters
 from .stages.splats_to_splats import cut_largest_part as cut_largest_part
 from .stages.splats_to_splats import merge_splats as merge_splats

@@ -22,6 +22,7 @@ from nerfbake.scene.compact_repr import CompactRepr, notebook_html
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Composite, Mesh
 from nerfbake.scene.octree import Lookup
+from nerfbake.scene.page_splats import PageSplats
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.stage1 import SpecularField
@@ -203,10 +204,10 @@ COVER = 320  # default pixels along an edge of the cover
 class Page(CompactRepr):
     """A page for viewing a scene.
 
-    content  the data of the page: a PageField or a PageSurface, a QuantisedOctree stored as the bytes of a .svoq, or
-             such bytes
+    content  the data of the page: a PageField, a PageSurface or PageSplats, a QuantisedOctree stored as the bytes of a
+             .svoq, or such bytes
     field    the field that the content was made from: it defines the page's position in the world, its box and its
-             basis; None for a PageSurface
+             basis; None for a PageSurface and PageSplats
     cameras  the views; the page opens with the first
     photographs  a JPEG of each camera, to be shown over the scene; (): none
     cover    the picture of the first camera, square
@@ -226,7 +227,7 @@ class Page(CompactRepr):
     page of a SH9 page field of 573 rows, 2x2x2 cells of 8^3
     """
 
-    content: PageField | QuantisedOctree | PageSurface | bytes
+    content: PageField | QuantisedOctree | PageSurface | PageSplats | bytes
     field: RadianceField | None
     cameras: Cameras
     cover: Image
@@ -243,9 +244,9 @@ class Page(CompactRepr):
         width, height = self.cover.size
         if width != height:
             raise InvalidScene(Problem("the cover", f"has {width}x{height} pixels", "a square picture"))
-        if (self.field is None) != isinstance(self.content, PageSurface):
+        if (self.field is None) != isinstance(self.content, PageSurface | PageSplats):
             found = "is missing" if self.field is None else "is present"
-            raise InvalidScene(Problem("the field", found, "a field for voxels, none for triangles"))
+            raise InvalidScene(Problem("the field", found, "a field for voxels, none for triangles and splats"))
         if len(self.photographs) not in (0, len(self.cameras.cameras)):
             found = f"are {len(self.photographs):,}"
             raise InvalidScene(Problem("the photographs", found, f"{len(self.cameras.cameras):,}, one per camera"))

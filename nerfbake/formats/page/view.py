@@ -7,6 +7,7 @@ is visible before the scene is decoded, the facts (JSON, read by the script), an
     arrays  a zlib stream of a PageField's top and blocks, little-endian, then for each of the 4 T channels of the
             texels the lower bytes of all rows, then their upper bytes
     surface none of these
+    splats  a zlib stream of planes of bytes, see splats.py in this folder
 
 followed by the arrays of each shell around the inner cube, if any, and by the triangles, if any, as packed by
 triangles.py in this folder.
@@ -33,6 +34,7 @@ import numpy.typing as npt
 
 from nerfbake.errors import InvalidFile, one_line
 from nerfbake.formats.octree import svoq
+from nerfbake.formats.page.splats import pack_splats, splat_facts, unpack_splats
 from nerfbake.formats.page.triangles import ball_of, pack_triangles, package_text, surface_facts, triangle_facts
 from nerfbake.formats.picture import png
 from nerfbake.formats.wire.deflate import deflate_whole, inflate
@@ -41,6 +43,7 @@ from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.octree import SparseVoxelOctree
 from nerfbake.scene.page import Page, PageField, PageSurface, density_unit, grid_of, texels_of
+from nerfbake.scene.page_splats import PageSplats
 from nerfbake.scene.radiance_field import RadianceField
 
 _SCRIPTS = (
@@ -50,9 +53,13 @@ _SCRIPTS = (
     "bytes.js",
     "levels.js",
     "shells.js",
+    "splats.js",
+    "sorting.js",
     "carried.js",
     "triangles.js",
+    "drawing.js",
     "picture.js",
+    "splat_picture.js",
     "camera.js",
     "choices.js",
     "controls.js",
@@ -61,6 +68,8 @@ _SCRIPTS = (
     "viewer.js",
     "main.js",
 )
+_OF_SPLATS = {"splats.js", "sorting.js", "splat_picture.js"}
+_OF_OTHERS = {"svoq.js", "svoq_values.js", "bytes.js", "levels.js", "shells.js", "triangles.js", "picture.js"}
 _SHADERS = ("field.glsl", "march.glsl", "smooth.glsl", "shells.glsl", "shown.glsl")
 _THUMBNAIL = 200, 64  # og:image: pixels an edge (the minimum that sites require), and colours
 _NEAREST = 0.1  # minimum distance of a pivot from its camera, in radii of the scene
@@ -94,8 +103,8 @@ def script_readable(view: memoryview) -> bytes:
     return b"".join(svoq.encode(svoq.decode_quantised(view)))
 
 
-def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
-    """Read the field of a page that encode() wrote. Raises InvalidFile, MemoryLimit."""
+def content_of(view: memoryview) -> PageField | SparseVoxelOctree | PageSplats:
+    """Read the field or the splats of a page that encode() wrote. Raises InvalidFile, MemoryLimit."""
     found = re.search(rb'id="facts">([^<]*)</script>.*?id="data">([^<]*)</script>', view, re.DOTALL)
     if found is None:
         raise InvalidFile("is not a complete page of a scene; allowed: a page that `nerfbake view` writes")
@@ -103,6 +112,8 @@ def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
     data = base64.b64decode(found[2])[: (facts.get("around") or [facts.get("triangles", {})])[0].get("at")]
     if facts["kind"] == "svoq":
         return svoq.decode(memoryview(data))
+    if facts["kind"] == "splats":
+        return unpack_splats(memoryview(data), facts)
     cells, leaves, rows, T = int(np.prod(facts["shape"])), facts["leaves"], facts["rows"], facts["texels"]
     raw = np.frombuffer(inflate(memoryview(data), facts["size"], "the page's data"), np.uint8)
     top, blocks, planes = np.split(raw, [4 * cells, 4 * cells + 128 * leaves])
@@ -120,7 +131,9 @@ def content_of(view: memoryview) -> PageField | SparseVoxelOctree:
 
 def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
     """Return the part of the page before its data, and the part after it."""
-    script = '(() => {\n"use strict";\n' + "\n".join(map(package_text, _SCRIPTS)) + "})();\n"
+    splats = isinstance(page.content, PageSplats)
+    names = [name for name in _SCRIPTS if name not in (_OF_OTHERS if splats else _OF_SPLATS)]
+    script = '(() => {\n"use strict";\n' + "\n".join(map(package_text, names)) + "})();\n"
     style = package_text("page.css")
     digests = {name: _digest(text) for name, text in (("script", script), ("style", style))}
     policy = "; ".join(
@@ -129,6 +142,7 @@ def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
             f"script-src 'sha256-{digests['script']}'",
             f"style-src 'sha256-{digests['style']}'",
             "img-src data:",
+            *(["worker-src blob:"] if splats else []),
             "base-uri 'none'",
             "form-action 'none'",
         ]
@@ -140,7 +154,7 @@ def _document(page: Page, facts: dict[str, Any]) -> tuple[str, str]:
         "title": escape(one_line(page.title)),
         "style": style,
         "script": script,
-        "shader": "\n".join(map(package_text, _SHADERS)) if page.field else package_text("surface.glsl"),
+        "shader": _shader(page),
         "cover": base64.b64encode(cover).decode(),
         "thumbnail": base64.b64encode(encode_thumbnail(memoryview(cover), *_THUMBNAIL)).decode(),
         "about": escape(f"All of the scene is in this file: {all_of_it}."),
@@ -158,9 +172,18 @@ def _digest(text: str) -> str:
     return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
+def _shader(page: Page) -> str:
+    if page.field:
+        return "\n".join(map(package_text, _SHADERS))
+    return "" if isinstance(page.content, PageSplats) else package_text("surface.glsl")
+
+
 def _facts(page: Page) -> dict[str, Any]:
     """Return the facts for the page's script. Positions and directions are in the world unless named otherwise."""
-    facts = _field_facts(page.content, page.field) if page.field else surface_facts(page.content)
+    if page.field:
+        facts = _field_facts(page.content, page.field)
+    else:
+        facts = (splat_facts if isinstance(page.content, PageSplats) else surface_facts)(page.content)
     facts |= {"background": page.background, "turns": page.turns, "lookup": page.lookup}
     centre, radius = np.array(facts["centre"]), facts["radius"]
     views = [_view(camera, centre, radius) for camera in page.cameras.cameras]
@@ -230,6 +253,8 @@ def _data(content: Any) -> bytes:
         return content
     if isinstance(content, PageSurface):
         return b""
+    if isinstance(content, PageSplats):
+        return pack_splats(content)
     if not isinstance(content, PageField):
         return b"".join(svoq.encode(content))
     rows = len(content.texels)

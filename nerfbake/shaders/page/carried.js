@@ -30,6 +30,12 @@ class Carried {
     return this.run(trianglesOf(raw, triangles), 0.6, 1);
   }
 
+  // The centres and the words of splats.
+  async splats() {
+    const raw = await inflated((await this.bytes()).field, this.facts.size, (part) => this.tell(0.1 + 0.4 * part));
+    return this.run(splatsOf(raw, this.facts), 0.5, 1);
+  }
+
   // The grid, the blocks and the texels (halves).
   async arrays() {
     const packed = (await this.bytes()).field;
@@ -48,9 +54,10 @@ class Carried {
   }
 
   // The arrays for a Picture at a level of detail, where 2^steps voxels along an edge become one; null if there is no
-  // field.
+  // field. For a SplatPicture: the splats.
   async level(steps) {
     if (this.facts.kind === "surface") return null;
+    if (this.facts.kind === "splats") return this.splats();
     let arrays = await this.arrays(), facts = this.facts;
     if (steps) {
       facts = coarserFacts(this.facts, steps);

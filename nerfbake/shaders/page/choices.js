@@ -9,9 +9,9 @@ const LABELS = {
 // The initial choices, in the form that Picture.look() takes. The page's controls change them later.
 function choicesOf(viewer) {
   const { modes, triangles } = viewer.facts, choices = {};
-  // A page of triangles alone has no lookup, level of detail, cut or crop box.
+  // A page of triangles or splats alone has no lookup, level of detail or cut, and triangles have no crop box.
   for (const name of modes ? ["lookup", "detail", "cut"] : []) element(name).parentElement.hidden = true;
-  for (const name of modes ? ["clip", "whole"] : []) element(name).hidden = true;
+  for (const name of viewer.facts.kind === "surface" ? ["clip", "whole"] : []) element(name).hidden = true;
   for (const option of [...element("mode").options]) if (modes && !modes.includes(option.value)) option.remove();
   for (const [name, values] of [["highlights", triangles?.highlights], ["composite", triangles?.composites]]) {
     if (values?.length > 1) choices[name] = offered(viewer, name, values);

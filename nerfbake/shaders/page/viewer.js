@@ -2,7 +2,6 @@
 
 const FRAME = 40; // ms for a frame while the view moves, and for a band of lines at rest
 const STILL = 150; // ms without a change before the picture is refined
-const FINEST = 2; // rays along a pixel's edge at rest
 const COARSEST = 0.2; // smallest share of the pixels along an edge
 const BUTTONS = 64; // CSS pixels reserved for the buttons; #cover's padding is the same
 const TURN = 40000; // ms for a full turn around the scene
@@ -50,7 +49,8 @@ class Viewer {
   // -- unpacking -------------------------------------------------------------------------------------------------
   async start() {
     try {
-      this.picture = new Picture(this.canvas, this.facts, this.shader);
+      this.picture?.stop();
+      this.picture = this.facts.kind === "splats" ? new SplatPicture(this.canvas, this.facts, () => this.change()) : new Picture(this.canvas, this.facts, this.shader);
     } catch (error) {
       if (!this.canvas.getContext("webgl2")?.isContextLost()) this.fail(error);
       return;
@@ -160,7 +160,7 @@ class Viewer {
     this.fit();
     if (this.changed) this.drawCoarse(now);
     else if (this.rest) this.drawFine(now);
-    else if (performance.now() - this.moved >= STILL) return this.settle();
+    else if (performance.now() - this.moved >= STILL && !this.picture.waits) return this.settle();
     this.ask();
     return undefined;
   }
@@ -178,7 +178,7 @@ class Viewer {
   drawCoarse(now) {
     const { canvas, scale } = this, width = Math.max(1, Math.round(canvas.width * scale)), height = Math.max(1, Math.round(canvas.height * scale));
     this.changed = false;
-    this.picture.look(this.lens, width, height, this.shown);
+    this.picture.look(this.lens, width, height, { ...this.shown, scale });
     this.picture.draw("coarse", width, height);
     this.picture.spread("coarse");
     this.drawn(now, true);
@@ -193,14 +193,15 @@ class Viewer {
     element("cover").classList.toggle("gone", drawn);
   }
 
-  // Draw a band of lines, from the top: first all lines with one ray per pixel, then all lines with more.
+  // Draw a band of lines, from the top: first all lines with one ray per pixel, then all lines with more. Of splats, a
+  // band is that share of them, from the nearest one.
   drawFine(now) {
     const { canvas, rest } = this, from = Math.max(0, rest.from - this.lines);
     this.picture.look(this.lens, canvas.width, canvas.height, { ...this.shown, rays: rest.rays });
     this.picture.draw("fine", canvas.width, canvas.height, from, rest.from);
     this.picture.spread("fine");
     rest.from = from;
-    if (from === 0) this.rest = rest.rays < FINEST ? { rays: FINEST, from: canvas.height } : null;
+    if (from === 0) this.rest = rest.rays < this.picture.finest ? { rays: this.picture.finest, from: canvas.height } : null;
     this.finished = !this.rest;
     this.drawn(now, false);
     if (this.finished) this.panel.finished();
@@ -216,7 +217,7 @@ class Viewer {
     if (this.finished) return;
     this.moving = false;
     this.picture.spread("coarse", "fine");
-    this.rest = { rays: this.scale === 1 ? FINEST : 1, from: this.canvas.height };
+    this.rest = { rays: this.scale === 1 ? this.picture.finest : 1, from: this.canvas.height };
     this.ask();
   }
 
