@@ -1,4 +1,4 @@
-// Draw splats, as `nerfbake render` does: nearest first, each a quad around its ellipse.
+// Draw splats, as `nerfbake render` does: nearest first, each a triangle around its ellipse.
 //
 // A first pass computes the ellipse and the colour of each splat, in the order of depth, once a picture. Then parts of
 // the splats are blended in a texture of half floats, and after each part the pixels that are opaque by then are closed
@@ -6,7 +6,7 @@
 
 const NEAR = 0.01; // smallest depth, in world units
 const BLUR = 0.3; // added to the variances in a picture of full size, in square pixels
-const QUADS = 1024; // of an instance
+const SPLATS = 4096; // of an instance, as in splats_vertex.glsl
 const PARTS = 12; // between which pixels are closed
 const HELD = { words: 0, rest: 1, order: 2, first: 3, second: 4, sum: 5 }; // units of the textures
 const SORT_WAIT = 1e-7; // views that differ by less, in units of the scene, have the same order
@@ -31,7 +31,6 @@ class SplatPicture extends Drawing {
     for (const [name, corners, fragment] of [
       ["project", CORNERS, lines + harmonics + project], ["blend", vertex, blend], ["close", CORNERS, close], ["shown", CORNERS, shown],
     ]) this.programs[name] = { built: begun(gl, corners, fragment), names: {}, linked: false };
-    this.begin();
   }
 
   // Nothing is drawn until the order is right, so that what rests is right.
@@ -41,16 +40,6 @@ class SplatPicture extends Drawing {
 
   stop() {
     this.sorter?.worker.terminate();
-  }
-
-  begin() {
-    const { gl } = this, indices = new Uint16Array(6 * QUADS);
-    for (let quad = 0; quad < QUADS; quad++) [0, 1, 2, 2, 1, 3].forEach((corner, k) => (indices[6 * quad + k] = 4 * quad + corner));
-    this.array = gl.createVertexArray();
-    gl.bindVertexArray(this.array);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, indices, gl.STATIC_DRAW);
-    gl.bindVertexArray(null);
   }
 
   // Compile all programs; the first call waits for them.
@@ -204,7 +193,7 @@ class SplatPicture extends Drawing {
 
   // Blend splats begin .. end - 1 of the order; x, y: the pixel of the picture at the lower left of the texture.
   blend(sum, x, y, begin, end) {
-    const { gl, shot } = this, [width, height] = shot.size, part = Math.max(QUADS, Math.ceil(this.count / PARTS));
+    const { gl, shot } = this, [width, height] = shot.size, part = Math.max(SPLATS, Math.ceil(this.count / PARTS));
     gl.enable(gl.DEPTH_TEST);
     for (let first = begin; first < end; first += part) {
       const until = Math.min(end, first + part), uniform = this.program("blend");
@@ -216,9 +205,7 @@ class SplatPicture extends Drawing {
       gl.uniform2fv(uniform("size"), shot.size);
       gl.uniform2f(uniform("corner"), x, y);
       gl.uniform2i(uniform("range"), first, until);
-      gl.bindVertexArray(this.array);
-      gl.drawElementsInstanced(gl.TRIANGLES, 6 * QUADS, gl.UNSIGNED_SHORT, 0, Math.ceil((until - first) / QUADS));
-      gl.bindVertexArray(null);
+      gl.drawArraysInstanced(gl.TRIANGLES, 0, 3 * SPLATS, Math.ceil((until - first) / SPLATS));
       gl.disable(gl.BLEND);
       gl.depthMask(true);
       if (until < this.count) this.close(sum);
