@@ -27,9 +27,21 @@ from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 
+_VALUES = {"goal", "choice", "mesh"}  # of several options each
+_OF_FIELDS = {"data", "max_loss", "max_size", "truth", "samples", "lookup", "mesh_up", "how", "stage1", "grids", "in_up"} | _VALUES
+
+
 @click.command()
 @source_argument
 @target_argument("Page", required=False)
+@click.option(
+    "--as",
+    "shown_as",
+    type=click.Choice(["field", "splats"]),
+    default="field",
+    show_default=True,
+    help="What OUT draws. field: voxels along rays; splats: the splats IN, or splats fitted to a field.",
+)
 @click.option(
     "--data",
     type=click.Choice(["compressed", "exact"]),
@@ -93,7 +105,15 @@ def view(source: Source, target: Target | None, console: Console, **options: Any
       nerfbake view phone.npz phone.html --cameras phone --photographs
       nerfbake view chair.npz room.html --mesh room.glb
       nerfbake view atlas_64 atlas.html --stage1 mesh_stage1
+      nerfbake view scene.ply scene.html --as splats
     """
+
+    if options.pop("shown_as") == "splats":
+        from nerfbake.jobs.splat_pages import view_splats
+
+        without_effect(*_OF_FIELDS, here="with --as splats", allowed="with --as field")
+        view_splats(source, target, steps=console, **{name: options[name] for name in options.keys() - _OF_FIELDS})
+        return
 
     from nerfbake.jobs.pages import view_file
 

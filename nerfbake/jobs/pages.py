@@ -366,7 +366,7 @@ def _framed(
     views, first = page_views(steps, field, look.cameras, held_out, name=source.name, origin=origin)
     previews: tuple[bytes, ...] = ()
     if photographs:
-        views, previews = _previews(steps, str(look.cameras), views)
+        views, previews = read_previews(steps, str(look.cameras), views)
     beside = PageExtras.of(steps, mesh)
     with source.blamed(steps, "rendering the cover"):
         cover = beside.render(whole, first, background=look.background, lookup=look.lookup)
@@ -374,7 +374,7 @@ def _framed(
     return _Shown(field, views, cover, beside, look, turns, around, previews)
 
 
-def _previews(steps: Steps, path: str, views: Cameras) -> tuple[Cameras, tuple[bytes, ...]]:
+def read_previews(steps: Steps, path: str, views: Cameras) -> tuple[Cameras, tuple[bytes, ...]]:
     """Return the cameras of a capture that have a photograph, and each photograph as a small JPEG."""
     views, files = with_pictures(steps, path, views)
     with steps.phase(f"reading {len(files)} photographs"):
