@@ -32,6 +32,8 @@ def fit(
     test: str | None = None,
     holdout: int | None = None,
     scenery: Scenery = "auto",
+    scale: str | None = None,
+    ground: bool = False,
     dtype: Literal["float16", "float32"] | None = None,
     progress: bool = False,
 ) -> N3Tree:
@@ -53,6 +55,7 @@ def fit(
 
     from nerfbake.jobs.fits import FitOptions, fit_scene
     from nerfbake.jobs.photographs import PhotographOptions
+    from nerfbake.jobs.world import WorldOptions
 
     terminal = sys.stderr is not None and sys.stderr.isatty()
     steps = Console(quiet=False, verbose=False, mode="auto" if terminal else "plain") if progress else SILENT
@@ -68,4 +71,5 @@ def fit(
         exposure=exposure,
     )
     photographs = PhotographOptions(background=background, masks=masks, test=test, holdout=holdout, scenery=scenery)
-    return fit_scene(source, photographs=photographs, options=options, dtype=dtype, steps=steps)
+    world = WorldOptions(scale=scale, ground=ground)
+    return fit_scene(source, photographs=photographs, options=options, world=world, dtype=dtype, steps=steps)

@@ -251,6 +251,12 @@ class PhotographFormat(Protocol):
     def jpeg_of_heic(self, view: memoryview, /) -> bytes:
         """Return a HEIC as JPEG of the same size, with its EXIF data. Raises InvalidFile, MemoryLimit."""
 
+    def place_of(self, view: memoryview, /) -> tuple[float, float, float] | None:
+        """Return latitude, longitude (degrees) and altitude (metres) of a photograph; None if it does not hold them.
+
+        view: the first bytes of the file, of a HEIC all.
+        """
+
     def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:
         """Return the picture as a PNG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit."""
 

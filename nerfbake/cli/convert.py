@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,10 +17,14 @@ from nerfbake.cli.params import (
     octree_target_argument,
     source_argument,
     without_effect,
+    world_options,
 )
 from nerfbake.cli.splat_files import splat_file_options
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
+
+if TYPE_CHECKING:
+    from nerfbake.jobs.world import WorldOptions
 
 # Names of the options of a trained field, and of --min-psnr.
 _OF_VOXELS = ("resolution", "box", "basis", "scenery", "world", "seen_from", "min_psnr")
@@ -39,9 +43,10 @@ _OF_VOXELS = ("resolution", "box", "basis", "scenery", "world", "seen_from", "mi
 @click.option("--half", is_flag=True, help="Store a volume, or all but the centres of splats (USD), in float16.")
 @splat_file_options
 @function_options()
+@world_options("as in IN; cameras only")
 @budget_options
 @console_options
-def convert(source: Source, target: Target, console: Console, **options: Any) -> None:
+def convert(source: Source, target: Target, console: Console, world: WorldOptions, **options: Any) -> None:
     """Convert between formats, and report any loss.
 
     Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz, without loss.
@@ -75,14 +80,16 @@ def convert(source: Source, target: Target, console: Console, **options: Any) ->
       nerfbake convert upside_down.spz scene.spz --in-axes RDF --spz-version 3
       nerfbake convert cameras.xml transforms.json
       nerfbake convert cameras.xml sparse/0 --to colmap
+      nerfbake convert flight/transforms.json metres.json --scale gps --ground
     """
 
     if writes_cameras(target.ending, target.to):
         _refuse_options()
         from nerfbake.jobs.cameras import convert_cameras
 
-        convert_cameras(source, target, steps=console)
+        convert_cameras(source, target, world=world, steps=console)
         return
+    without_effect("scale", "ground", here="without cameras", allowed="them for cameras")
     from nerfbake.jobs.conversions import convert_file, split_volume
 
     if options["choice"].grids != (ALL,):

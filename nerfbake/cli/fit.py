@@ -22,6 +22,7 @@ from nerfbake.cli.params import (
     sh_bases,
     target_argument,
     without_effect,
+    world_options,
 )
 from nerfbake.cli.paths import MeshOutput, PhotographsPath, Reads, StateFolder, Writes
 from nerfbake.cli.render import Background
@@ -177,6 +178,7 @@ fit_options = bundled(
 @click.argument("source", metavar="SOURCE", type=PhotographsPath())
 @target_argument("SparseVoxelOctree", "QuantisedOctree", "Volume", "Splats", "N3Tree", "Meshes", output=MeshOutput)
 @fit_options
+@world_options("as in the cameras; for photographs alone as in nerfbake poses")
 @photograph_options  # --scenery is part of its `photographs`, too
 @click.option(
     "--scenery",
@@ -220,6 +222,7 @@ def fit(
       nerfbake fit capture chair.npz
       nerfbake fit capture/transforms.json chair.nvdb --preset best --state checkpoints
       nerfbake fit capture chair.svo.pb --masks masks --minutes 3 --json
+      nerfbake fit flight town.glb --scale gps --ground
     """
 
     from nerfbake.jobs.fits import fit_file

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import as_json, console_options, max_memory
+from nerfbake.cli.params import as_json, console_options, max_memory, world_options
 from nerfbake.cli.paths import PhotographsWithPoses
 from nerfbake.console import Console
 
@@ -28,6 +28,7 @@ from nerfbake.console import Console
     show_default=True,
     help="Random seed. On one machine, the same seed gives the same poses.",
 )
+@world_options("gps if the photographs have positions that fit, else none")
 @click.option("--force", is_flag=True, help="Replace transforms.json and sparse/0 in PHOTOS.")
 @max_memory
 @as_json
@@ -41,6 +42,7 @@ def poses(source: str, as_json: bool, console: Console, **options: Any) -> None:
     \b
       nerfbake poses photographs && nerfbake fit photographs scene.npz
       nerfbake poses frames --sequential --json
+      nerfbake poses photographs --scale IMG_1,IMG_5=1.2m --ground
     """
 
     from nerfbake.jobs.poses import find_poses

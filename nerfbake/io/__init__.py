@@ -24,6 +24,7 @@ from nerfbake.io.reading import load_folder as load_folder
 from nerfbake.io.reading import load_lines as load_lines
 from nerfbake.io.reading import load_page_content as load_page_content
 from nerfbake.io.reading import load_photograph as load_photograph
+from nerfbake.io.reading import load_place as load_place
 from nerfbake.io.reading import load_preview as load_preview
 from nerfbake.io.reading import load_split as load_split
 from nerfbake.io.reading import load_thumbnail as load_thumbnail

@@ -46,6 +46,7 @@ from nerfbake.io.sources import (
 from nerfbake.io.wrappings import unwrapped
 
 Kind = TypeVar("Kind")
+_HEAD_EXIF = 1 << 18  # bytes of a JPEG in which EXIF data are looked for: they have up to 64 kB
 
 
 def load(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Kind:
@@ -406,6 +407,18 @@ def is_heic(path: str | Path) -> bool:
     """True if a file is a HEIC, which an iPhone stores, whatever its extension is. Raises InvalidFile."""
     with blame(str(path)), Path(path).open("rb") as file:
         return load_photographs().is_heic(memoryview(file.read(HEAD)))
+
+
+def load_place(path: str | Path) -> tuple[float, float, float] | None:
+    """Return latitude, longitude (degrees) and altitude (metres) of a photograph; None if it does not hold them.
+
+    Raises InvalidFile, MemoryLimit.
+    """
+    with blame(str(path)), memory.scope():
+        with Path(path).open("rb") as file:
+            head = memoryview(file.read(_HEAD_EXIF))
+        pictures = load_photographs()
+        return pictures.place_of(read_file(Path(path)) if pictures.is_heic(head) else head)
 
 
 def load_thumbnail(path: str | Path, edge: int) -> bytes:

@@ -68,3 +68,4 @@ from .splats import SplatsResult as SplatsResult
 from .splats import SplatsViews as SplatsViews
 from .splats import bake_splats as bake_splats
 from .steps import Steps as Steps
+from .world import WorldOptions as WorldOptions

@@ -10,6 +10,7 @@ It reads one line of JSON from stdin, the fields of Request, and writes lines of
     {"step": "matching 66 pairs of pictures"}            a step begins
     {"share": 0.25}                                      the finished share of this step
     {"models": [12, 4], "points": 922, "error": 0.51}    the end: pictures of each model; facts about the first model
+    {"moved": 1}                                         the end of a request that moves a model
     {"missing": "..."}, {"unread": "a.jpg"} or {"failed": "..."}    the end: an error
 
 The process ends when its stdin is closed, so it never outlives the process that started it.
@@ -95,7 +96,7 @@ def main() -> None:
     def tell(**event: Any) -> None:
         os.write(output, json.dumps(event).encode() + b"\n")
 
-    request = Request(**json.loads(sys.stdin.buffer.readline()))
+    fields = json.loads(sys.stdin.buffer.readline())
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         import pycolmap
@@ -103,9 +104,37 @@ def main() -> None:
         tell(missing=str(error))
         return
     try:
-        _find(pycolmap, request, tell)
+        if "turn" in fields:
+            _move(pycolmap, **fields, tell=tell)
+        else:
+            _find(pycolmap, Request(**fields), tell)
     except Exception as error:  # pycolmap raises RuntimeError, ValueError and others
         tell(failed=str(error))
+
+
+def _move(
+    pycolmap: Any,
+    *,
+    model: str,
+    scale: float,
+    turn: list[list[float]],
+    shift: list[float],
+    tell: Callable[..., None],
+) -> None:
+    """Move a model to another world: scale, rotate and then shift it."""
+    found = pycolmap.Reconstruction(model)
+    found.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(turn), shift))
+    _write(found, Path(model), Path(model) / "moved")
+    tell(moved=1)
+
+
+def _write(found: Any, model: Path, part: Path) -> None:
+    """Write the files of a model, in place of existing ones. part: a folder for them until they are complete."""
+    part.mkdir(parents=True)
+    found.write_binary(str(part))
+    for name in _FILES:
+        (part / name).replace(model / name)
+    shutil.rmtree(part)
 
 
 def _end_with_parent() -> None:
@@ -142,11 +171,7 @@ def _find(pycolmap: Any, request: Request, tell: Callable[..., None]) -> None:
     shutil.rmtree(work)  # frees more room than the model needs, whose writing pycolmap might not check
     if models:
         _adjust(pycolmap, models[0])
-        best = work / "best"
-        best.mkdir(parents=True)
-        models[0].write_binary(str(best))
-        for name in _FILES:
-            (best / name).replace(Path(request.model) / name)
+        _write(models[0], Path(request.model), work / "best")
         facts = {"points": models[0].num_points3D(), "error": models[0].compute_mean_reprojection_error()}
         shutil.rmtree(work)
     tell(models=[model.num_reg_images() for model in models], **facts)

@@ -11,8 +11,10 @@ from typing import Any
 from nerfbake import catalog, io
 from nerfbake.errors import OutputError, UsageError
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, axis_option
+from nerfbake.jobs.photographs import photographs_of
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import read_cameras
+from nerfbake.jobs.world import WorldOptions, find_world
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.origin import choose_origin_of_cameras, lost_origin
@@ -22,7 +24,12 @@ _LEAST_SKEW = 0.01  # pixels that a skew moves the edge of a picture by: less is
 
 
 def convert_cameras(
-    source: AnySource, target: AnyTarget, *, in_up: str | None = None, steps: Steps = SILENT
+    source: AnySource,
+    target: AnyTarget,
+    *,
+    in_up: str | None = None,
+    world: WorldOptions = WorldOptions(),
+    steps: Steps = SILENT,
 ) -> Cameras:
     """Write cameras for other programs, and return them as they were written. This is `nerfbake convert` of cameras.
 
@@ -32,6 +39,7 @@ def convert_cameras(
     cameras far from 0 become relative to an origin, which is printed. Raises NerfbakeError.
 
     in_up  the axis of their world that points up, which USD stores: y or z; None: z
+    world  the unit and the axes of the written cameras, in place of those of the source
 
     >>> import numpy as np
     >>> _ = nerfbake.save("cameras.json", nerfbake.Cameras((nerfbake.Camera(4, 3, 5.0, np.eye(4), "front"),)))
@@ -40,7 +48,11 @@ def convert_cameras(
     """
     source, target = as_source(source), as_target(target)
     form = _require(source, target, in_up)
-    return _write(steps, read_cameras(steps, source.path), target, form, in_up)
+    cameras = read_cameras(steps, source.path)
+    if world.asked:
+        moved = find_world(steps, source.name, cameras, world, photographs_of(source.path, cameras))
+        cameras = cameras if moved is None else moved.apply(cameras)
+    return _write(steps, cameras, target, form, in_up)
 
 
 def write_cameras(steps: Steps, cameras: Cameras, source: Source, target: Target, *, in_up: str | None) -> Cameras:

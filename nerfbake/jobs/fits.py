@@ -15,10 +15,18 @@ from nerfbake.jobs.compressions import CompressionGoal, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, kept_as_partial, write_partial
 from nerfbake.jobs.meshes import MeshFile, build_mesh, require_mesh
-from nerfbake.jobs.photographs import MeasuredViews, PhotographOptions, SplitViews, cut_out, mean_of, read_photographs
+from nerfbake.jobs.photographs import (
+    MeasuredViews,
+    PhotographOptions,
+    SplitViews,
+    cut_out,
+    mean_of,
+    read_photographs_in,
+)
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.splats import SplatsOptions, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
+from nerfbake.jobs.world import WorldOptions
 from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.held_out import HeldOut
@@ -194,6 +202,7 @@ def fit_scene(
     *,
     photographs: PhotographOptions = PhotographOptions(),
     options: FitOptions = FitOptions(),
+    world: WorldOptions = WorldOptions(),
     dtype: Dtype | None = None,
     steps: Steps = SILENT,
 ) -> N3Tree:
@@ -208,7 +217,7 @@ def fit_scene(
     source = as_source(source)
     photographs.require()
     options.schedule()
-    split, schedule = _read(steps, source, photographs, options, "N3Tree")
+    split, schedule = _read(steps, source, photographs, world, options, "N3Tree")
     run = FitRun(split, schedule, options.rays(schedule))
     field = _fit(steps, source, split, schedule, options, run, None, threading.Event())
     with steps.phase("putting the field together"):
@@ -221,6 +230,7 @@ def fit_file(
     *,
     photographs: PhotographOptions = PhotographOptions(),
     options: FitOptions = FitOptions(),
+    world: WorldOptions = WorldOptions(),
     dtype: Dtype | None = None,
     state: str | None = None,
     steps: Steps = SILENT,
@@ -234,6 +244,7 @@ def fit_file(
     current state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept
     under this name. Raises NerfbakeError.
 
+    world   the unit and the axes of the scene, in place of those of the cameras
     dtype   number type of a PlenOctree's values; None: float16, or float32 if a value is too large for float16
     report  is called with the result
 
@@ -249,7 +260,7 @@ def fit_file(
         raise UsageError(f"`dtype` has no effect on {target.path}; allowed: with a PlenOctree")
     if state is not None:
         io.require_checkpoints(state)
-    split, schedule = _read(steps, source, photographs, options, kind)
+    split, schedule = _read(steps, source, photographs, world, options, kind)
     held_out = split.held_out
     if held_out.scenery and kind not in ("N3Tree", *_OF_INNER_CUBE):
         found = f"{source.name} has scenery behind the object, which {target.path} cannot store"
@@ -313,15 +324,21 @@ def _with_origin(steps: Steps, scene: Any, target: Target, kind: str, origin: Fl
 
 
 def _read(
-    steps: Steps, source: Source, photographs: PhotographOptions, options: FitOptions, kind: str
+    steps: Steps,
+    source: Source,
+    photographs: PhotographOptions,
+    world: WorldOptions,
+    options: FitOptions,
+    kind: str,
 ) -> tuple[SplitViews, Schedule]:
     """Read the photographs of a capture, and return the schedule for them.
 
     Pictures with scenery are reduced to the size that the last stage uses: larger ones only take longer to measure. A
     mesh and splats are then fitted to them once more, so they need the larger ones.
     """
-    require_poses(steps, source)
-    split = read_photographs(steps, source, photographs)
+    if require_poses(steps, source, world):
+        world = WorldOptions()  # the poses are in it
+    split = read_photographs_in(steps, source, photographs, world)
     if (origin := choose_origin_of_cameras(split.training.cameras.eyes)).any():
         steps.say(f"{source.name}: the cameras are far from 0; the fit is relative to {origin_text(origin)}")
         split = split.moved(origin)

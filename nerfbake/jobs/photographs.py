@@ -13,6 +13,7 @@ from nerfbake.jobs.budgets import FRAMES
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
 from nerfbake.jobs.views import picture_views, read_cameras
+from nerfbake.jobs.world import MovedWorld, WorldOptions, find_world
 from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.radiance_field import RadianceField
@@ -74,6 +75,16 @@ class SplitViews(NamedTuple):
         """The point (3,) of the capture's world that all cameras are relative to: 0 unless they were moved."""
         return self.training.cameras.origin
 
+    @property
+    def cameras(self) -> Cameras:
+        """All cameras: those of the training views, then the others."""
+        training, held_out = (views.cameras for views in self)
+        return replace(training, cameras=training.cameras + held_out.cameras)
+
+    def placed(self, moved: MovedWorld) -> SplitViews:
+        """The same views in another world."""
+        return SplitViews(*(replace(views, cameras=moved.apply(views.cameras)) for views in self))
+
     def moved(self, origin: Floats) -> SplitViews:
         """The same views relative to another point of the capture's world."""
         start = origin - self.origin
@@ -99,6 +110,18 @@ class MeasuredViews:
 def mean_of(views: Sequence[ViewError], name: Literal["psnr", "ssim", "corrected"]) -> float:
     """Return the mean of a figure over the views."""
     return float(sum(getattr(view, name) for view in views) / len(views))
+
+
+def read_photographs_in(
+    steps: Steps, source: Source, photographs: PhotographOptions, world: WorldOptions
+) -> SplitViews:
+    """Read the views of a capture as read_photographs() does, and move their cameras to the world that is asked for."""
+    split = read_photographs(steps, source, photographs)
+    if not world.asked:
+        return split
+    cameras = split.cameras
+    moved = find_world(steps, source.name, cameras, world, photographs_of(source.path, cameras))
+    return split if moved is None else split.placed(moved)
 
 
 def read_photographs(steps: Steps, source: Source, photographs: PhotographOptions = PhotographOptions()) -> SplitViews:
@@ -285,6 +308,11 @@ def with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, l
         steps.say(f"{path}: {left_out} of {len(files)} cameras have no picture and are left out")
         cameras = cameras.take(kept)
     return cameras, [file for file in files if file is not None]
+
+
+def photographs_of(path: str, cameras: Cameras) -> list[Path | None]:
+    """Return the photographs of cameras that were read from `path`, None for those that do not exist."""
+    return _find_pictures(path, cameras, Path(path) if io.is_folder(path) else Path(path).parent)[1]
 
 
 def _require_named(path: str, cameras: Cameras) -> None:

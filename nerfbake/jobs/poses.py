@@ -24,6 +24,7 @@ from nerfbake.io.reading import check_photograph, copy_photograph, is_heic, is_p
 from nerfbake.io.targets import replacing_folder
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.world import WorldOptions, find_world
 from nerfbake.kernels.parallel import cores
 from nerfbake.scene.camera import Cameras
 
@@ -39,7 +40,7 @@ _PICTURES = "images"
 _OTHERS = (".webp", ".avif", ".tif", ".tiff", ".bmp", ".gif", ".dng", ".mov", ".mp4")
 _COMMAND = [sys.executable, "-P", "-m", "nerfbake.jobs._pycolmap"]  # -P ignores the working directory
 _LEAST_ROOM = 1 << 22  # bytes on the disk: with less, pycolmap fails for lack of room
-_ENDS = {"models", "missing", "unread", "failed"}  # what the last line of the process says
+_ENDS = {"models", "missing", "unread", "failed", "moved"}  # what the last line of the process says
 _TRACE = ("@", "***", "PC:")  # how pycolmap begins the lines of a stack trace
 _ADVICE = "sharp pictures of a textured scene that does not move, each of which shows two thirds of the one before"
 
@@ -66,6 +67,7 @@ def find_poses(
     *,
     sequential: bool | None = None,
     seed: int = 0,
+    world: WorldOptions = WorldOptions(),
     force: bool = False,
     steps: Steps = SILENT,
 ) -> PosesResult:
@@ -76,6 +78,7 @@ def find_poses(
 
     sequential  match each picture only with the next ones, in the order of names; None: if there are more than 150
     seed        the random seed; on one machine, the same pictures and seed give the same poses
+    world       the unit and the axes; without a scale, the GPS positions of the photographs are used if they fit
     force       replace existing outputs
 
     >>> find_poses("room").registered
@@ -98,7 +101,7 @@ def find_poses(
         if pictures != place:
             shutil.rmtree(pictures)
         _require_model(steps, source.name, found["models"], len(names))
-        io.save(folder / CAMERAS, _cameras(part, "" if place == folder else f"{_PICTURES}/"), force=force)
+        io.save(folder / CAMERAS, _placed(steps, source.name, folder, place, part, world), force=force)
     result = PosesResult(source.path, len(names), found["models"][0], found["points"], found["error"])
     steps.say(
         f"{source.name}: {result.registered} of {result.pictures} pictures have a pose; {result.points:,} points, "
@@ -107,14 +110,14 @@ def find_poses(
     return result
 
 
-def require_poses(steps: Steps, source: Source) -> None:
-    """Find the poses of a folder that has photographs and no cameras; do nothing for any other source.
+def require_poses(steps: Steps, source: Source, world: WorldOptions = WorldOptions()) -> bool:
+    """Find the poses of a folder that has photographs and no cameras; return False for any other source.
 
     Raises NerfbakeError as find_poses() does.
     """
     folder = Path(source.path)
     if not io.is_folder(folder):
-        return
+        return False
     try:
         io.load_split(folder)
     except InvalidFile as error:
@@ -125,7 +128,9 @@ def require_poses(steps: Steps, source: Source) -> None:
         for file, reason in io.unread_cameras(folder, ""):
             steps.say(f"{source.name}: warning: {file} is not read: {reason}")
         steps.say(f"{source.name}: has photographs without cameras, so their poses are found first")
-        find_poses(source, steps=steps)
+        find_poses(source, world=world, steps=steps)
+        return True
+    return False
 
 
 def _files(folder: Path) -> list[Path]:
@@ -209,6 +214,19 @@ def _model_folder(folder: Path, force: bool) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             target.parent.rmdir()
+
+
+def _placed(steps: Steps, name: str, folder: Path, place: Path, part: Path, options: WorldOptions) -> Cameras:
+    """Return the cameras of a new model, after it was moved to the world that is asked for."""
+    prefix = "" if place == folder else f"{_PICTURES}/"
+    cameras = _cameras(part, prefix)
+    moved = find_world(steps, name, cameras, options, [folder / each for each in cameras.names], automatic=True)
+    if moved is None:
+        return cameras
+    event, ended = _run_once(steps, {"model": str(part), **moved.frame.listed()})
+    if "moved" not in event:
+        raise NerfbakeError(f"pycolmap could not move the model: {event.get('failed', ended)}", source=name)
+    return replace(_cameras(part, prefix), world=moved.world)
 
 
 def _cameras(model: Path, prefix: str) -> Cameras:

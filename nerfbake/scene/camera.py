@@ -26,6 +26,7 @@ from nerfbake.scene.lens import Lens
 from nerfbake.scene.origin import no_origin
 from nerfbake.scene.pose import ORTHOGONAL, pose_problem, scale_of
 from nerfbake.scene.sparse_points import SparsePoints
+from nerfbake.scene.world import UNKNOWN, World
 
 
 class Raster(NamedTuple):
@@ -260,6 +261,7 @@ class Cameras(Scene):
     held_out  the numbers of the cameras that the capture holds out: the result is measured on them
     points   the points in space that the program found in the pictures; None: the file has none
     origin   (3,) float64: the point of the world that all positions are relative to, see scene/origin.py; 0 as read
+    world    what is known of the unit and of the axes
 
     >>> import numpy as np
     >>> from nerfbake import Camera, Cameras
@@ -276,6 +278,7 @@ class Cameras(Scene):
     held_out: tuple[int, ...] = ()
     points: SparsePoints | None = None
     origin: Floats = field(default_factory=no_origin)
+    world: World = UNKNOWN
 
     def __post_init__(self) -> None:
         require_samples(self.samples)

@@ -10,7 +10,7 @@ import pytest
 
 from nerfbake.cli.main import run
 from nerfbake.installation import command_for
-from nerfbake.jobs import PosesResult, poses
+from nerfbake.jobs import PosesResult, WorldOptions, poses
 from tests.cli.telling import told
 from tests.support.rooms import write_room
 
@@ -30,10 +30,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
 def test_options_reach_the_job(asked: list[dict[str, Any]]) -> None:
     assert run(["poses", "photographs"]) == 0
-    assert run(["poses", "photographs", "--sequential", "--seed", "3", "--force"]) == 0
+    assert run(["poses", "photographs", "--sequential", "--seed", "3", "--force", "--ground"]) == 0
     assert asked == [
-        {"source": "photographs", "sequential": None, "seed": 0, "force": False},
-        {"source": "photographs", "sequential": True, "seed": 3, "force": True},
+        {"source": "photographs", "sequential": None, "seed": 0, "world": WorldOptions(), "force": False},
+        {"source": "photographs", "sequential": True, "seed": 3, "world": WorldOptions(ground=True), "force": True},
     ]
 
 

@@ -23,13 +23,15 @@ from benchmarks.captures import position_errors
 from nerfbake import Cameras, NerfbakeError, io, load
 from nerfbake.errors import InvalidFile
 from nerfbake.installation import command_for
-from nerfbake.jobs import PosesResult, Source, find_poses, poses
+from nerfbake.jobs import PosesResult, Source, WorldOptions, find_poses, poses
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.steps import SILENT
+from nerfbake.scene.world import World
 from tests.conftest import REPOSITORY
 from tests.jobs.listener import Listener
 from tests.support.fake_pycolmap import CRASHES_ONCE, SLEEPS, replace_pycolmap, write_pycolmap
 from tests.support.heic import heic_of
+from tests.support.reprojection import reprojection_errors
 from tests.support.rooms import FOCAL, HEIGHT, WIDTH, write_room
 
 Array = npt.NDArray[np.float64]
@@ -99,6 +101,23 @@ def test_the_points_are_read_with_the_cameras(found: Found) -> None:
         points = load(place, Cameras).points
         assert points is not None
         assert len(points) == found.results[0].points
+
+
+@pytest.mark.slow
+def test_the_model_moves_with_the_cameras(found: Found, tmp_path: Path) -> None:
+    """Both outputs are in metres, and the points are still where the pictures show them."""
+    shutil.copytree(found.places[0], tmp_path / "room")
+    model = tmp_path / "room" / poses.MODEL
+    before = load(found.places[0], Cameras)
+    world = WorldOptions(scale="0000,0004=12m")
+    moved = poses._placed(SILENT, "room", tmp_path / "room", tmp_path / "room", model, world)
+    assert sorted(path.name for path in model.iterdir()) == MODEL_FILES
+    eyes = positions_of(moved)
+    assert np.linalg.norm(eyes[0] - eyes[4]) == pytest.approx(12)
+    assert moved.world == World(metres=True)
+    again = load(model, Cameras)
+    for cameras in (before, again):
+        assert reprojection_errors(cameras).mean() < 1.0
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from nerfbake.cli import main
 from nerfbake.cli.paths import DeclaredPaths, JudgedOutput, Place, Stage1AndFolder, Writes, declared
 
 # Text arguments that are not paths. List a new text option here, or make it a Place.
-WORDS = {"basis", "device", "epochs", "fits", "formats", "grids", "template", "title", "to"}
+WORDS = {"basis", "device", "epochs", "fits", "formats", "grids", "scale", "template", "title", "to"}
 
 
 def commands(group: click.Group, prefix: str = "") -> Iterator[tuple[str, click.Command]]:

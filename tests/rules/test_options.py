@@ -57,6 +57,7 @@ COMPOSED = {
     "photographs",
     "report",
     "splats",
+    "world",
     "steps",
 }
 # Options that a command passes to its job in another form, or only under a condition.

@@ -6,6 +6,8 @@ x_fov, y_fov      degrees, else fl_x, fl_y: pixels, else camera_angle_x, camera_
 cx, cy, w, h      pixels; default: the principal point in the centre, the size of the pictures
 test_frames       frames like those of `frames`, on which the result is measured: ScanNet++
 samples           nerfbake's extension: rays along each edge of a pixel, default 1
+world             nerfbake's extension: {metres: true, upright: true, place: [latitude, longitude, altitude of the
+                  origin]}, each of them optional
 camera_model, is_fisheye, k1..k6, p1, p2, distortion_params ([k1, k2, k3, k4, p1, p2])
 Except for frames and samples, each key may also be in a frame, which then takes precedence. A key whose value is null
 counts as absent. instant-ngp files may contain comments. The poses do not include the transforms that instant-ngp and
@@ -43,6 +45,7 @@ from nerfbake.kernels.maths.elementary import arctan, tangent
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.camera import FOCAL_LENGTHS, MAX_SAMPLES, Camera, Cameras
 from nerfbake.scene.lens import Lens, LensModel
+from nerfbake.scene.world import EarthPlace, World
 
 # nerfstudio's names of COLMAP's models, with the lens model of k1, k2, ...
 _MODELS: dict[str, LensModel] = {
@@ -225,10 +228,30 @@ def decode(view: memoryview, *, beside: CaptureFolder | None = None) -> Cameras:
             intrinsics = _intrinsics(frame, fields, size, f"frames[{i}]")
         guessed += found is None and not _sized(fields, frame)
         cameras.append(Camera(pose=poses[i], name=name, picture=inside_of(path), **intrinsics))
-    notes = (*size_note(guessed, first, sizes.unreadable), *_mask_note(frames))
+    world = _world(fields)
+    told = (f"its world: {world}",) if any(world) else ()
+    notes = (*size_note(guessed, first, sizes.unreadable), *_mask_note(frames), *told)
     samples = whole(fields, "samples", default=1, low=1, high=MAX_SAMPLES)
     last = tuple(range(len(frames) - held_out, len(frames)))
-    return Cameras(tuple(cameras), _dialect(fields, frames), notes=notes, samples=samples, held_out=last)
+    dialect = _dialect(fields, frames)
+    return Cameras(tuple(cameras), dialect, notes=notes, samples=samples, held_out=last, world=world)
+
+
+def _world(fields: Fields) -> World:
+    """Return what a file says of its world; other programs may use this key for something else."""
+    found = fields.get("world")
+    if not isinstance(found, dict):
+        return World()
+    place = found.get("place")
+    if place is not None:
+        latitude, longitude, altitude = table(place, "world.place", (3,)).tolist()
+        place = EarthPlace(latitude, longitude, altitude)
+    return World(found.get("metres") is True, found.get("upright") is True, place)
+
+
+def _world_fields(world: World) -> dict[str, Any]:
+    known = {"metres": world.metres, "upright": world.upright, "place": world.place}
+    return {"world": {key: value for key, value in known.items() if value}} if any(world) else {}
 
 
 def _mask_note(frames: list[Frame]) -> tuple[str, ...]:
@@ -251,7 +274,7 @@ def encode(cameras: Cameras) -> Iterator[bytes]:
         for camera, each in zip(cameras.cameras, fields, strict=True)
     ]
     samples = {} if cameras.samples == 1 else {"samples": cameras.samples}
-    split = {"frames": frames}
+    split: dict[str, Any] = {**_world_fields(cameras.world), "frames": frames}
     if 0 < len(cameras.held_out) < len(frames):
         held_out = set(cameras.held_out)
         split["frames"] = [frame for i, frame in enumerate(frames) if i not in held_out]

@@ -335,6 +335,33 @@ def _numbers_of(tags: Any, *names: int) -> dict[int, Any]:
     return {name: tags[name] for name in names if isinstance(tags.get(name), Real)}
 
 
+_GPS = 0x8825  # EXIF 2.32, 4.6.6: its tags are 1 N or S, 2 latitude, 3 E or W, 4 longitude, 5 below the sea, 6 altitude
+
+
+def place_of(view: memoryview) -> tuple[float, float, float] | None:
+    """Return latitude and longitude in degrees and altitude in metres where a photograph was taken.
+
+    view: the first bytes of a JPEG, or a whole HEIC. None unless its EXIF data hold all three.
+    """
+    try:
+        with opened(view, "the picture", "JPEG", "HEIF", bytes_per_pixel=0) as picture:
+            tags = picture.getexif().get_ifd(_GPS)
+        latitude, longitude = (_degrees(tags[number], tags[number - 1]) for number in (2, 4))
+        altitude = float(tags[6]) * (-1 if tags.get(5) in (1, b"\x01") else 1)
+    except Exception:  # Pillow raises many types for damaged EXIF, which says nothing about the pixels
+        return None
+    fine = abs(latitude) <= 90 and abs(longitude) <= 180 and abs(altitude) <= _MOST_ALTITUDE
+    return (latitude, longitude, altitude) if fine and (latitude or longitude) else None
+
+
+_MOST_ALTITUDE = 1e5  # metres
+
+
+def _degrees(parts: Any, side: Any) -> float:
+    degrees, minutes, seconds = map(float, parts)
+    return (-1 if str(side)[:1] in "SW" else 1) * (degrees + minutes / 60 + seconds / 3600)
+
+
 _PREVIEW_QUALITY = 80  # of JPEG: 20 to 40 kB at 480 x 360
 
 
