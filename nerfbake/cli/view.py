@@ -26,9 +26,20 @@ from nerfbake.cli.render import Background, mesh_options
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
-
 _VALUES = {"goal", "choice", "mesh"}  # of several options each
-_OF_FIELDS = {"data", "max_loss", "max_size", "truth", "samples", "lookup", "mesh_up", "how", "stage1", "grids", "in_up"} | _VALUES
+_OF_FIELDS = {
+    "data",
+    "max_loss",
+    "max_size",
+    "truth",
+    "samples",
+    "lookup",
+    "mesh_up",
+    "how",
+    "stage1",
+    "grids",
+    "in_up",
+} | _VALUES
 
 
 @click.command()

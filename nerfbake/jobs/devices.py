@@ -7,7 +7,7 @@ from typing import Any
 from nerfbake.device.adapters import AUTO as DEVICE
 from nerfbake.device.adapters import list_adapters, open_device
 from nerfbake.installation import command_for, is_installed
-from nerfbake.jobs.steps import SILENT, Steps
+from nerfbake.jobs.steps import Steps
 from nerfbake.stages.renderers import KERNELS, DeviceRenderer, Renderer
 
 _CELL_BYTES = 4 * 28  # of a cell with SH9 and density

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import os
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import wraps
 from queue import SimpleQueue
@@ -45,6 +46,10 @@ def on_every_core(kernel: Callable[Concatenate[int, int, Arguments], None]) -> C
         over_chunks(lambda core, _: kernel(core, threads, *arguments, **named), threads, 1)
 
     return run
+
+
+def _nothing(task: int) -> None:
+    """The work of a task that is finished."""
 
 
 class _Shared:
@@ -92,7 +97,7 @@ class _Shared:
                 break
             except BaseException as error:
                 self.errors.append(error)
-        del self._work  # the queue may still hold invitations
+        self._work = _nothing  # the queue may still hold invitations
 
     def raise_first(self) -> None:
         if self.errors:
@@ -197,6 +202,42 @@ def prefetched(items: Iterable[Item]) -> Generator[Item]:
         finally:
             ahead.finish()
         ahead.raise_first()
+
+
+def in_order(works: Iterable[Callable[[], Item]], *, most: int | None = None) -> Generator[Item]:
+    """Yield what the works return, in order. Other threads do them while the next works are made.
+
+    most: number of results that exist at once; None: one for each core.
+    """
+    most = cores() if most is None else max(1, min(most, cores()))
+    waiting: deque[tuple[_Shared, list[Item]]] = deque()
+
+    def results(count: int) -> Generator[Item]:
+        while len(waiting) > count:
+            for shared, _ in waiting:
+                shared.run()
+            shared, made = waiting[0]
+            shared.finish()
+            shared.raise_first()
+            waiting.popleft()
+            yield made.pop()
+
+    try:
+        for work in works:
+            waiting.append(_begun(work, most - 1))
+            yield from results(most - 1)
+        yield from results(0)
+    finally:
+        for shared, _ in waiting:
+            shared.finish()
+
+
+def _begun(work: Callable[[], Item], helpers: int) -> tuple[_Shared, list[Item]]:
+    """Let another thread of the pool do the work if there is one. Returns it, and the list that gets its result."""
+    made = list[Item]()
+    shared = _Shared(lambda _: made.append(work()), range(1))
+    _pool.invite(shared, min(helpers, 1))
+    return shared, made
 
 
 def _some(source: Iterator[Item]) -> list[Item]:

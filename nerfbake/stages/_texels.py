@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +10,13 @@ import numpy as np
 from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Singles
+from nerfbake.kernels.parallel import cores, in_order
 from nerfbake.kernels.surface import gbuffer, texels
 from nerfbake.scene.mesh import Mesh
 from nerfbake.scene.views import Views
 from nerfbake.stages._ray_targets import reduced_view
 
-_BAND = 1 << 20  # rays at a time
+_BAND = 1 << 20  # rays of a view at a time
 _BAND_BYTES = 220  # per ray of a band, as in _surface
 _RAY_BYTES, _PIXEL_BYTES = 8, 32  # of Seen
 _MOST_PIXELS = 20_000_000  # that show an object; pictures with more of them are reduced, or memory exceeds 2 GB
@@ -46,9 +47,15 @@ def see(mesh: Mesh, views: Views, edge: int, samples: int) -> Seen:
     places, scale = texel_places(mesh, edge), _scale(views)
     bands: list[tuple[texels.Lookups, Singles, Singles, Singles]] = []
     with memory.scope():
-        memory.hold("a band of rays", _BAND_BYTES * _BAND)
-        for number in progress.each(range(len(views.pictures))):
-            for band in _look(mesh, views, number, scale, places, samples):
+        pixels = max(camera.width * camera.height for camera in views.cameras.cameras) // (scale * scale)
+        rays = min(_BAND, samples * samples * max(pixels, 1))
+        # Two views at once, or more if they are small.
+        most = min(cores(), max(2, _BAND // rays), max(1, memory.left() // (4 * _BAND_BYTES * rays)))
+        memory.hold("bands of rays", _BAND_BYTES * rays * most)
+        numbers = range(len(views.pictures))
+        looks = in_order((partial(_look, mesh, views, k, scale, places, samples) for k in numbers), most=most)
+        for _ in progress.each(numbers):
+            for band in next(looks):
                 # Counted 1.5 times: the parts, and at most half of them put together before their parts are dropped.
                 size = 3 * (_RAY_BYTES * len(band[0].at) + _PIXEL_BYTES * len(band[1])) // 2
                 memory.hold("what the views show of the mesh", size)
@@ -77,8 +84,9 @@ def _scale(views: Views) -> int:
 
 def _look(
     mesh: Mesh, views: Views, number: int, scale: int, places: Singles, samples: int
-) -> Iterator[tuple[texels.Lookups, Singles, Singles, Singles]]:
-    """Yield the lookups, targets, cover and directions of a view, a band of rows at a time."""
+) -> list[tuple[texels.Lookups, Singles, Singles, Singles]]:
+    """Return the lookups, targets, cover and directions of a view, for each band of rows."""
+    bands = []
     camera, image = reduced_view(views, number, scale)
     photograph, alpha = image[..., :3], image[..., 3]
     used = alpha >= 1 if views.scenery and views.masked else np.ones(alpha.shape, bool)
@@ -97,7 +105,8 @@ def _look(
         shown = photograph[band].reshape(-1, 3)[pixels]
         rest = (1 - cover)[:, None] * background
         targets = np.clip((shown - rest) / cover[:, None], 0, 1)
-        yield lookups, targets.astype(np.float32), cover, directions
+        bands.append((lookups, targets.astype(np.float32), cover, directions))
+    return bands
 
 
 def texel_places(mesh: Mesh, edge: int) -> Singles:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from nerfbake import progress
+from nerfbake import memory, progress
 from nerfbake.kernels.arrays import Floats
+from nerfbake.kernels.parallel import in_order
 from nerfbake.kernels.picture.metrics import psnr, ssim
 from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes
@@ -52,11 +53,12 @@ def plain_psnr(views: Views) -> float:
     >>> round(plain_psnr(Views(Cameras((camera,)), (picture,), (1.0, 1.0, 1.0), False)), 2)
     6.02
     """
-    found = []
-    for number in range(len(views.pictures)):
+
+    def of_view(number: int) -> float:
         truth = views.photograph(number)[views.used(number)].astype(np.float64)
-        found.append(psnr(np.broadcast_to(truth.mean(axis=0), truth.shape), truth))
-    return sum(found) / len(found)
+        return psnr(np.broadcast_to(truth.mean(axis=0), truth.shape), truth)
+
+    return sum(in_order(partial(of_view, number) for number in range(len(views.pictures)))) / len(views.pictures)
 
 
 def measure_views(
@@ -78,17 +80,26 @@ def measure_views(
     True
     """
     views.cameras.require_covered()
-    shown_by, errors = _renderer(scene, render), []
-    for i, camera in progress.each(list(enumerate(views.cameras.cameras))):
-        camera.require_memory(_PIXEL_BYTES)
-        made = shown_by(camera, background=views.background, samples=samples).colour.astype(np.float64)
-        truth, used = views.photograph(i).astype(np.float64), views.used(i)
-        made[~used] = truth[~used]
-        shown = used if views.scenery else used & ~views.behind(i)
-        alike = np.where(shown[..., None], made * _gains(made[shown], truth[shown]), made)
-        raw, corrected = (psnr(each[used], truth[used]) for each in (made, alike))
-        errors.append(ViewError(camera.name, raw, ssim(made, truth), corrected))
-    return tuple(errors)
+    shown_by, cameras = _renderer(scene, render), views.cameras.cameras
+
+    def errors() -> Iterator[Callable[[], ViewError]]:
+        for i, camera in progress.each(list(enumerate(cameras))):
+            camera.require_memory(_PIXEL_BYTES)
+            made = shown_by(camera, background=views.background, samples=samples).colour
+            yield partial(_error, views, i, made.astype(np.float64))
+
+    pixels = max((camera.width * camera.height for camera in cameras), default=1)
+    return tuple(in_order(errors(), most=memory.left() // (2 * _PIXEL_BYTES * pixels)))
+
+
+def _error(views: Views, i: int, made: Floats) -> ViewError:
+    """Measure a picture, which is changed where the photograph is not used."""
+    truth, used = views.photograph(i).astype(np.float64), views.used(i)
+    made[~used] = truth[~used]
+    shown = used if views.scenery else used & ~views.behind(i)
+    alike = np.where(shown[..., None], made * _gains(made[shown], truth[shown]), made)
+    raw, corrected = (psnr(each[used], truth[used]) for each in (made, alike))
+    return ViewError(views.cameras.cameras[i].name, raw, ssim(made, truth), corrected)
 
 
 def _renderer(scene: Measured, render: Renderer) -> Callable[..., Image]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,8 @@ from nerfbake import memory, progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Singles
 from nerfbake.kernels.maths.affine import inverse, length, rotate
-from nerfbake.kernels.surface.gbuffer import gbuffer
+from nerfbake.kernels.parallel import in_order
+from nerfbake.kernels.surface.gbuffer import GBuffer, gbuffer
 from nerfbake.kernels.surface.motion import (
     Equations,
     Solid,
@@ -81,9 +83,11 @@ def move_vertices(mesh: Mesh, views: Views, *, rounds: int = 1) -> Mesh:
         facing = np.divide(facing, size, out=np.zeros_like(facing), where=size > 0)
         solid = Solid(positions, vertex_normals(positions, faces), faces, facing, edges, beside)
         blocks = Equations(np.zeros((len(faces), 6)), np.zeros((len(faces), 3)))
+        chosen = range(turn % every, len(views.pictures), every)
         with progress.part(turn / rounds, (turn + 1) / rounds):
-            for view in progress.each(range(turn % every, len(views.pictures), every)):
-                _add_view(solid, mesh, texture, views, view, blocks)
+            looks = in_order((partial(_look, solid, views, view) for view in chosen), most=_most_at_once(views))
+            for _ in progress.each(chosen):
+                _add_view(solid, mesh, texture, views, next(looks), blocks)
         held = blocks.left[:, [0, 3, 5]]
         if not held.any():
             found = "show nothing that can be compared with the mesh"
@@ -119,17 +123,36 @@ def _scale(camera: Camera) -> int:
     return max(1, max(camera.width, camera.height) // _PIXELS)
 
 
-def _add_view(solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, view: int, blocks: Equations) -> None:
-    """Add the equations of one picture."""
-    full = views.cameras.cameras[view]
-    scale = _scale(full)
-    full.reduced(scale).require_memory(_PIXEL_BYTES)
-    camera, image = reduced_view(views, view, scale)
+class _Look(NamedTuple):
+    """A reduced picture (H, W, 4), and the triangles that its pixels show."""
+
+    image: Singles
+    eye: SurfaceEye
+    seen: GBuffer
+
+
+def _most_at_once(views: Views) -> int:
+    """Return how many pictures fit into the memory that is left. Raises MemoryLimit if one does not."""
+    cameras = [camera.reduced(_scale(camera)) for camera in views.cameras.cameras]
+    largest = max(cameras, key=lambda camera: camera.width * camera.height)
+    largest.require_memory(_PIXEL_BYTES)
+    return memory.left() // (2 * _PIXEL_BYTES * largest.width * largest.height)
+
+
+def _look(solid: Solid, views: Views, view: int) -> _Look:
+    """Look at the mesh through a view."""
+    camera, image = reduced_view(views, view, _scale(views.cameras.cameras[view]))
     rays = camera.rays()[1].reshape(camera.height, camera.width, 3)
     seen = gbuffer(solid.positions.astype(np.float32), solid.faces.astype(np.uint32), camera.pose, rays)
     optics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     eye = SurfaceEye(np.ascontiguousarray(camera.pose[:3]), optics, _plane(camera, rays))
-    if not views.scenery and min(camera.width, camera.height) > 1:
+    return _Look(image, eye, seen)
+
+
+def _add_view(solid: Solid, mesh: Mesh, texture: Singles | None, views: Views, look: _Look, blocks: Equations) -> None:
+    """Add the equations of one picture."""
+    image, eye, seen = look
+    if not views.scenery and min(image.shape[:2]) > 1:
         rest = image[..., 3] - (seen.triangle >= 0).astype(np.float32)
         add_rims(solid, eye, seen.triangle, rest, 1 / (_RIM_NOISE * _RIM_NOISE), blocks)
     if texture is not None and mesh.uvs is not None:

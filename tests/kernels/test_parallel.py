@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from threading import Barrier, Event, Thread, active_count, current_thread, main_thread
 from time import sleep
 
@@ -234,3 +235,36 @@ def test_no_more_than_one_item_is_made_ahead() -> None:
     assert [next(ahead), next(ahead)] == [0, 1]
     ahead.close()
     assert made in ([0, 1], [0, 1, 2])
+
+
+@pytest.mark.parametrize("cores", [1, 2, 5])
+@pytest.mark.parametrize("most", [None, 0, 2])
+def test_results_come_in_order_and_few_at_once(cores: int, most: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: cores)
+    begun: list[int] = []
+
+    def work(number: int) -> int:
+        begun.append(number)
+        sleep(0.001 * (number % 3))
+        return number
+
+    for count, found in enumerate(parallel.in_order((partial(work, k) for k in range(20)), most=most)):
+        assert found == count
+        assert len(begun) <= count + max(1, cores if most is None else min(most, cores))
+    assert sorted(begun) == list(range(20))
+
+
+def test_an_error_comes_in_its_place_and_ends_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
+    begun, seen = list[int](), list[int]()
+
+    def work(number: int) -> int:
+        begun.append(number)
+        if number == 4:
+            raise ValueError("in 4")
+        return number
+
+    with pytest.raises(ValueError, match="in 4"):
+        seen.extend(parallel.in_order(partial(work, k) for k in range(100)))
+    assert seen == [0, 1, 2, 3]
+    assert len(begun) <= 4 + 3

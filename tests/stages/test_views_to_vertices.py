@@ -112,6 +112,15 @@ def striped(scale: float = 1.0) -> Mesh:
     return Mesh((corners.reshape(-1, 3) * scale).astype(np.float32), uvs, faces, texture=texture)
 
 
+def test_threads_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    views, found = seen(striped(), around(32)[::4]), []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+        found.append(move_vertices(striped(0.97), views).positions)
+    np.testing.assert_array_equal(*found)
+    assert (found[0] != striped(0.97).positions).any()
+
+
 def test_colours_alone_move_faces_to_where_the_texture_fits() -> None:
     # Pictures with scenery have no rims: alpha separates only what is used from what is not.
     views = replace(seen(striped(), around()), scenery=True)

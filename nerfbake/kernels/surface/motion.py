@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from nerfbake.kernels.arrays import Faces, Floats, Ints, Singles
 from nerfbake.kernels.jit import compiled
+from nerfbake.kernels.parallel import on_every_core
 
 _STEP = 0.25  # pixels between two samples across a rim
 _REACHES = (3.0, 1.5)  # pixels to either side that are compared, if nothing else is there
@@ -329,8 +330,11 @@ def _turns(solid: Solid, offset: Floats, f: int, least_cosine: float) -> Any:
     return along < least_cosine * np.sqrt(x * x + y * y + z * z)
 
 
+@on_every_core
 @compiled()
 def add_texels(
+    core: int,
+    cores: int,
     solid: Solid,
     uvs: Singles,
     corners: Faces,
@@ -355,7 +359,7 @@ def add_texels(
     for y in range(H):
         for x in range(W):
             f = triangle[y, x]
-            if f < 0 or image[y, x, 3] < 0.999:
+            if f < 0 or f % cores != core or image[y, x, 3] < 0.999:
                 continue
             a, b, c = solid.faces[f, 0], solid.faces[f, 1], solid.faces[f, 2]
             wa, wb, wc = np.float64(weights[y, x, 0]), np.float64(weights[y, x, 1]), np.float64(weights[y, x, 2])

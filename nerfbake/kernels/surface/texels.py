@@ -5,8 +5,9 @@ single lookups couple a texel with its 8 neighbours, so they are kept as 5 numbe
 For pixels of several rays this matrix is an upper bound of the true one: a step that solves it for the pixels'
 residuals never increases the error (majorisation), and a few of them are enough.
 
-Loops that add to texels run on one thread, in the order of the pixels; all others run over rows of texels, and sums
-over rows are added in order. The result does not depend on the number of threads.
+Loops that add to texels run over all pixels in order on every core, and each core adds to rows of texels of its own;
+all others run over rows of texels, and sums over rows are added in order. The result does not depend on the number of
+threads.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from nerfbake.kernels.jit import compiled, part_of
 from nerfbake.kernels.parallel import on_every_core
 
 NONE = -1
+_BLOCK = 16  # rows of texels that one core adds to
 
 
 class Lookups(NamedTuple):
@@ -107,16 +109,40 @@ def residuals(
 
 
 @compiled()
-def spread(at: Singles, starts: npt.NDArray[np.int32], weights: Singles, values: Singles, out: Singles) -> None:
+def _own_rows(core: int, cores: int, H: int) -> Bits:
+    """(H,) the rows of texels that a core adds to: blocks of rows in turn, as charts leave parts of a texture empty."""
+    own = np.zeros(H, np.bool_)
+    for y in range(H):
+        own[y] = y // _BLOCK % cores == core
+    return own
+
+
+@on_every_core
+@compiled()
+def spread(
+    core: int,
+    cores: int,
+    at: Singles,
+    starts: npt.NDArray[np.int32],
+    weights: Singles,
+    values: Singles,
+    out: Singles,
+) -> None:
     """Add the values (p, 3) of each pixel, times its weight, to the texels (H, W, 3) that its lookups read."""
     H, W, _ = out.shape
+    own = _own_rows(core, cores, H)
     for i in range(len(values)):
         share = weights[i] / f32(starts[i + 1] - starts[i])
         r, g, b = share * values[i, 0], share * values[i, 1], share * values[i, 2]
         for entry in range(starts[i], starts[i + 1]):
-            x, y = min(int(at[entry, 0]), W - 2), min(int(at[entry, 1]), H - 2)
+            y = min(int(at[entry, 1]), H - 2)
+            if not (own[y] or own[y + 1]):
+                continue
+            x = min(int(at[entry, 0]), W - 2)
             fx, fy = at[entry, 0] - f32(x), at[entry, 1] - f32(y)
             for dy in range(2):
+                if not own[y + dy]:
+                    continue
                 row = fy if dy else f32(1) - fy
                 for dx in range(2):
                     part = row * (fx if dx else f32(1) - fx)
@@ -125,28 +151,35 @@ def spread(at: Singles, starts: npt.NDArray[np.int32], weights: Singles, values:
                     out[y + dy, x + dx, 2] += part * b
 
 
+@on_every_core
 @compiled()
-def couple(at: Singles, starts: npt.NDArray[np.int32], weights: Singles, out: Singles) -> None:
+def couple(core: int, cores: int, at: Singles, starts: npt.NDArray[np.int32], weights: Singles, out: Singles) -> None:
     """Add to (H, W, 5) the coupling of each texel with itself and those right, lower left, below, lower right."""
     H, W, _ = out.shape
+    own = _own_rows(core, cores, H)
     for i in range(len(weights)):
         share = weights[i] / f32(starts[i + 1] - starts[i])
         for entry in range(starts[i], starts[i + 1]):
-            x, y = min(int(at[entry, 0]), W - 2), min(int(at[entry, 1]), H - 2)
+            y = min(int(at[entry, 1]), H - 2)
+            if not (own[y] or own[y + 1]):
+                continue
+            x = min(int(at[entry, 0]), W - 2)
             fx, fy = at[entry, 0] - f32(x), at[entry, 1] - f32(y)
             gx, gy = f32(1) - fx, f32(1) - fy
             a, b, c, d = gx * gy, fx * gy, gx * fy, fx * fy
             sa, sb, sc = share * a, share * b, share * c
-            out[y, x, 0] += sa * a
-            out[y, x, 1] += sa * b
-            out[y, x, 3] += sa * c
-            out[y, x, 4] += sa * d
-            out[y, x + 1, 0] += sb * b
-            out[y, x + 1, 2] += sb * c
-            out[y, x + 1, 3] += sb * d
-            out[y + 1, x, 0] += sc * c
-            out[y + 1, x, 1] += sc * d
-            out[y + 1, x + 1, 0] += share * d * d
+            if own[y]:
+                out[y, x, 0] += sa * a
+                out[y, x, 1] += sa * b
+                out[y, x, 3] += sa * c
+                out[y, x, 4] += sa * d
+                out[y, x + 1, 0] += sb * b
+                out[y, x + 1, 2] += sb * c
+                out[y, x + 1, 3] += sb * d
+            if own[y + 1]:
+                out[y + 1, x, 0] += sc * c
+                out[y + 1, x, 1] += sc * d
+                out[y + 1, x + 1, 0] += share * d * d
 
 
 @on_every_core
