@@ -98,7 +98,8 @@ class Download:
         self.gpu.wait_for(self.promise)
         with library.quiet(f"{self.gpu.name}: reading"):
             found = np.frombuffer(self.staging.read_mapped(copy=True), self.dtype)
-            self.staging.destroy()
+            self.staging.unmap()
+        self.gpu.spare.append(self.staging)
         return found
 
 
@@ -108,6 +109,7 @@ class Gpu:
 
     name    of the adapter
     limits  the highest that the adapter has
+    spare   buffers that have been read and can be used again
     """
 
     name: str
@@ -118,6 +120,8 @@ class Gpu:
     _axis: int = field(init=False, repr=False)
     _alignment: int = field(init=False, repr=False)
     _little: Buffer = field(init=False, repr=False)
+    _closed: bool = field(default=False, init=False, repr=False)
+    spare: list[Any] = field(default_factory=list, init=False, repr=False)
     _pipelines: dict[tuple[object, ...], Pipeline] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -177,12 +181,20 @@ class Gpu:
         """Copy `count` numbers of a buffer after the work submitted so far, without waiting. Raises DeviceError."""
         kind = np.dtype(dtype)
         size = count * kind.itemsize
-        staging = self._buffer(size, self._usage.MAP_READ | self._usage.COPY_DST, "a buffer to read")
+        staging = self._staging(size)
         with library.quiet(f"{self.name}: reading"):
             encoder = self._device.create_command_encoder()
             encoder.copy_buffer_to_buffer(buffer.handle, offset, staging, 0, size)
             self._device.queue.submit([encoder.finish()])
             return Download(self, staging, staging.map_async("READ"), kind)
+
+    def _staging(self, size: int) -> Any:
+        """A buffer to read from: a spare one of this size, which saves the driver's work of a new one, or a new one."""
+        while self.spare:
+            if (spare := self.spare.pop()).size == size:
+                return spare
+            spare.destroy()
+        return self._buffer(size, self._usage.MAP_READ | self._usage.COPY_DST, "a buffer to read")
 
     def _buffer(self, size: int, usage: int, what: str) -> Any:
         with library.quiet(f"{self.name}: {what} of {format_size(size)}"):
@@ -254,6 +266,8 @@ class Gpu:
 
     def wait_for(self, promise: Any) -> None:
         """Wait for a promise of wgpu, at most _PATIENCE seconds: wgpu's own wait has no limit. Raises DeviceError."""
+        if self._closed:  # wgpu would wait forever
+            raise DeviceError(f"{self.name}: the device is lost")
         raised: list[BaseException] = []
 
         def wait() -> None:
@@ -277,6 +291,7 @@ class Gpu:
 
     def close(self) -> None:
         """Free the device with all its buffers."""
+        self._closed = True
         self._device.destroy()
 
 

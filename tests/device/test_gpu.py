@@ -78,8 +78,10 @@ def test_a_lost_device_is_one_line_in_every_call(capfd: pytest.CaptureFixture[st
     bound = gpu.bind(
         gpu.pipeline("@group(0) @binding(0) var<storage, read_write> out: array<u32>;" + EMPTY, "main"), {"out": buffer}
     )
+    waiting = gpu.read_later(buffer, np.uint32, 4)
     gpu.close()
     for call in (
+        waiting.take,
         lambda: gpu.empty(16),
         lambda: gpu.write(buffer, np.zeros(4, np.uint32)),
         lambda: gpu.read(buffer, np.uint32, 4),
