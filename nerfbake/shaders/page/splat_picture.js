@@ -9,6 +9,8 @@ const BLUR = 0.3; // added to the variances in a picture of full size, in square
 const SPLATS = 4096; // of an instance, as in splats_vertex.glsl
 const PARTS = 12; // between which pixels are closed
 const HELD = { words: 0, rest: 1, order: 2, first: 3, second: 4, sum: 5 }; // units of the textures
+const THIN = 4; // in a coarse picture, one of so many splats is drawn, with so many times the area
+const COARSE = 0.5; // scale of a picture from which all splats are drawn
 const SORT_WAIT = 1e-7; // views that differ by less, in units of the scene, have the same order
 
 class SplatPicture extends Drawing {
@@ -24,7 +26,7 @@ class SplatPicture extends Drawing {
     this.sums = {};
     this.sorter = null;
     this.sorted = null; // the view that the order belongs to
-    this.count = 0; // splats in the order
+    this.whole = this.thin = null; // the orders of all splats and of some
     this.key = ""; // of what was projected
     const lines = `${version}#define FUNCTIONS ${facts.functions}\n#define TEXELS ${restTexels(facts.functions)}\n`;
     this.programs = {};
@@ -63,12 +65,12 @@ class SplatPicture extends Drawing {
   upload({ means, words, rest }) {
     const { gl, facts } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE), texels = restTexels(facts.functions);
     this.bits = Math.min(11, 31 - Math.clz32(Math.floor(most / Math.max(2, texels))));
-    const across = 1 << this.bits, lines = Math.ceil(facts.splats / across);
+    const across = 1 << this.bits, lines = this.linesOf(facts.splats);
     if (lines > most) throw new Error("these are more splats than this device's graphics can hold");
     this.fill(HELD.words, words, 2 * across, lines);
     if (texels) this.fill(HELD.rest, rest, texels * across, lines);
     this.texture(HELD.order);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, across, lines);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, across, lines + this.linesOf(Math.ceil(facts.splats / THIN)));
     this.projected = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.projected);
     for (const [place, unit] of [HELD.first, HELD.second].entries()) {
@@ -104,14 +106,29 @@ class SplatPicture extends Drawing {
     this.changed();
   }
 
+  // The same splats are thinned out in every order, so that nothing flickers.
   hold(order, view) {
-    const { gl } = this, across = 1 << this.bits, whole = order.length >> this.bits, left = order.length & (across - 1);
-    gl.activeTexture(gl.TEXTURE0 + HELD.order);
-    if (whole) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, across, whole, gl.RED_INTEGER, gl.UNSIGNED_INT, order, 0);
-    if (left) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, whole, left, 1, gl.RED_INTEGER, gl.UNSIGNED_INT, order, whole * across);
-    this.count = order.length;
+    this.thin = { order: order.filter((splat) => splat % THIN === 0), line: this.linesOf(this.facts.splats), times: THIN };
+    this.whole = { order, line: 0, times: 1 };
+    for (const { order, line } of [this.whole, this.thin]) this.fillOrder(order, line);
     this.sorted = view;
     this.key = "";
+  }
+
+  fillOrder(order, line) {
+    const { gl } = this, across = 1 << this.bits, whole = order.length >> this.bits, left = order.length & (across - 1);
+    gl.activeTexture(gl.TEXTURE0 + HELD.order);
+    if (whole) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, line, across, whole, gl.RED_INTEGER, gl.UNSIGNED_INT, order, 0);
+    if (left) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, line + whole, left, 1, gl.RED_INTEGER, gl.UNSIGNED_INT, order, whole * across);
+  }
+
+  linesOf(count) {
+    return Math.ceil(count / (1 << this.bits));
+  }
+
+  // What is drawn: {order, its line in the texture, times: its share of the splats is one in so many}.
+  get list() {
+    return this.shot.scale < COARSE ? this.thin : this.whole;
   }
 
   // Set what the next draw() shows, as Picture.look() does. scale: of the picture, relative to that at rest. Splats are
@@ -145,6 +162,7 @@ class SplatPicture extends Drawing {
   draw(name, width, height, from = 0, to = height) {
     const { gl, shot } = this, first = to === height, last = from === 0;
     if (first) this.sort(name === "aside");
+    const count = this.list.order.length;
     this.project();
     const sum = this.sumOf(name, width, height), [x, y] = shot.mode === "pick" ? shot.aim.map(Math.floor) : [0, 0];
     gl.bindFramebuffer(gl.FRAMEBUFFER, sum.frame);
@@ -153,7 +171,7 @@ class SplatPicture extends Drawing {
       gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
       gl.clearBufferfv(gl.DEPTH, 0, [1]);
     }
-    this.blend(sum, x, y, Math.floor(this.count * (1 - to / height)), last ? this.count : Math.floor(this.count * (1 - from / height)));
+    this.blend(sum, x, y, Math.floor(count * (1 - to / height)), last ? count : Math.floor(count * (1 - from / height)));
     if (!last) return;
     this.bind(name, width, height);
     const uniform = this.program("shown");
@@ -174,8 +192,9 @@ class SplatPicture extends Drawing {
     const key = JSON.stringify([position, rotation, size, focal, mode, clip, scale]);
     if (key === this.key) return;
     this.key = key;
+    const { order, line, times } = this.list;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.projected);
-    gl.viewport(0, 0, 1 << this.bits, Math.ceil(this.count / (1 << this.bits)));
+    gl.viewport(0, 0, 1 << this.bits, this.linesOf(order.length));
     const uniform = this.program("project"), far = (part, end) => (part === end ? (end ? 1e30 : -1e30) : part);
     gl.uniform3fv(uniform("eye"), position);
     gl.uniformMatrix3fv(uniform("axes"), false, rotation.flat());
@@ -183,7 +202,9 @@ class SplatPicture extends Drawing {
     gl.uniform1f(uniform("focal"), focal);
     gl.uniform1f(uniform("blur"), facts.antialiased ? 0 : BLUR * scale * scale);
     gl.uniform1i(uniform("mode"), MODES[mode]);
-    gl.uniform1i(uniform("count"), this.count);
+    gl.uniform1i(uniform("count"), order.length);
+    gl.uniform1i(uniform("line"), line);
+    gl.uniform1f(uniform("larger"), Math.sqrt(times));
     gl.uniform1f(uniform("farthest"), range[1]);
     gl.uniformMatrix4x3fv(uniform("place"), true, facts.place.flat());
     gl.uniform3fv(uniform("lowest"), clip[0].map((part) => far(part, 0)));
@@ -193,7 +214,7 @@ class SplatPicture extends Drawing {
 
   // Blend splats begin .. end - 1 of the order; x, y: the pixel of the picture at the lower left of the texture.
   blend(sum, x, y, begin, end) {
-    const { gl, shot } = this, [width, height] = shot.size, part = Math.max(SPLATS, Math.ceil(this.count / PARTS));
+    const { gl, shot } = this, [width, height] = shot.size, count = this.list.order.length, part = Math.max(SPLATS, Math.ceil(count / PARTS));
     gl.enable(gl.DEPTH_TEST);
     for (let first = begin; first < end; first += part) {
       const until = Math.min(end, first + part), uniform = this.program("blend");
@@ -208,7 +229,7 @@ class SplatPicture extends Drawing {
       gl.drawArraysInstanced(gl.TRIANGLES, 0, 3 * SPLATS, Math.ceil((until - first) / SPLATS));
       gl.disable(gl.BLEND);
       gl.depthMask(true);
-      if (until < this.count) this.close(sum);
+      if (until < count) this.close(sum);
     }
     gl.disable(gl.DEPTH_TEST);
   }

@@ -11,6 +11,8 @@ uniform usampler2D rest;   // TEXELS texels a splat: a byte for each higher coef
 uniform usampler2D order;  // the numbers of the splats, nearest first
 uniform int bits;          // 2^bits splats in a line of each texture
 uniform int count;         // of the splats in the order
+uniform int line;          // of the order's texture, at which it starts
+uniform float larger;      // factor of all scales
 uniform vec3 eye;
 uniform mat3 axes;      // right, up, back of the camera, as columns
 uniform vec2 size;      // of the picture, in pixels
@@ -57,9 +59,9 @@ void main() {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   first = second = uvec4(0u);
   if ((pixel.y << bits) + pixel.x >= count) return;
-  int splat = int(texelFetch(order, pixel, 0).r);
-  ivec2 line = ivec2(splat & ((1 << bits) - 1), splat >> bits);
-  uvec4 word = texelFetch(words, ivec2(2 * line.x, line.y), 0), more = texelFetch(words, ivec2(2 * line.x + 1, line.y), 0);
+  int splat = int(texelFetch(order, pixel + ivec2(0, line), 0).r);
+  ivec2 at = ivec2(splat & ((1 << bits) - 1), splat >> bits);
+  uvec4 word = texelFetch(words, ivec2(2 * at.x, at.y), 0), more = texelFetch(words, ivec2(2 * at.x + 1, at.y), 0);
   vec3 mean = uintBitsToFloat(word.xyz), away = mean - eye, seen = away * axes;
   float z = -seen.z, opacity = float(more.z >> 16) / 255.0;
   vec3 inBox = place * vec4(mean, 1.0);
@@ -67,7 +69,7 @@ void main() {
   vec2 slope = seen.xy / z, most = MARGIN * size / (2.0 * focal), bent = clamp(slope, -most, most);
   // The rows of the Jacobian times the camera's axes, then times the axes of the splat.
   vec3 across = (axes[0] + bent.x * axes[2]) * (focal / z), down = (axes[1] + bent.y * axes[2]) * (focal / z);
-  vec3 scale = exp((vec3((uvec3(more.x) >> uvec3(0u, 10u, 20u)) & 1023u) - 640.0) / 16.0);
+  vec3 scale = larger * exp((vec3((uvec3(more.x) >> uvec3(0u, 10u, 20u)) & 1023u) - 640.0) / 16.0);
   mat3 turn = turnOf(word.w);
   vec3 p = scale * (across * turn), q = scale * (down * turn), minors = cross(p, q);
   // dot(p, p) dot(q, q) - dot(p, q)^2, without the cancellation of large numbers.
@@ -85,7 +87,7 @@ void main() {
     Harmonics h = harmonics(normalize(away), mode == FIRST ? 1 : FUNCTIONS);
     colour = 0.5 + h.f[0] * dc;
 #if FUNCTIONS > 1
-    ivec2 texel = ivec2(line.x * TEXELS, line.y);
+    ivec2 texel = ivec2(at.x * TEXELS, at.y);
     if (mode != FIRST) {
       for (int k = 0; k < FUNCTIONS - 1; k++) {
         colour += h.f[k + 1] * vec3(restAt(texel, 3 * k), restAt(texel, 3 * k + 1), restAt(texel, 3 * k + 2));

@@ -69,7 +69,7 @@ class Viewer {
       if (level) picture.upload(level);
       const triangles = picture.triangles ? null : await this.carried.triangles();
       if (ticket !== this.ticket) return;
-      if (triangles) picture.uploadTriangles(triangles);
+      if (triangles) /** @type {Picture} */ (picture).uploadTriangles(triangles);
       picture.use(this.looks.smoothly, this.looks.mode === "normals"); // compiled while the script unpacked
     } catch (error) {
       if (ticket === this.ticket && !picture.gl.isContextLost()) this.fail(error);
