@@ -27,7 +27,7 @@ from nerfbake.kernels.parallel import on_every_core, taken_in_turn
 
 DECAY = 0.9  # of the moving means
 FADE = 0.95  # of the largest weight, at every view that hits the cell
-_CORNER_RATE = 4.0  # of the rate of the densities of cells (docs/tuning.md)
+CORNER_RATE = 4.0  # of the rate of the densities of cells (docs/tuning.md)
 _CURVATURE_FLOOR, _WEIGHT_FLOOR = 1e-3, 1e-2
 _SLOPE_FLOOR = 0.15  # of the sigmoid, whose slope is at most a quarter
 _SUMS = 8  # numbers of a row that are summed, from COLOUR_SUM on
@@ -226,7 +226,7 @@ def step_corners(core: int, cores: int, corners: CornerGrid, rate: float) -> Non
             mean = DECAY * old + (1 - DECAY) * curvature if old > 0 else curvature
             quotient = min(max(asked / (mean + _CURVATURE_FLOOR), -1.0), 1.0)
             corners.mean[corner] = mean
-            moved = np.float64(corners.raw[corner]) + _CORNER_RATE * rate * quotient
+            moved = np.float64(corners.raw[corner]) + CORNER_RATE * rate * quotient
             corners.raw[corner] = min(max(moved, LEAST_RAW), MOST_RAW)
 
 
