@@ -24,6 +24,7 @@ from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.n3tree import MAX_SHELLS
 from nerfbake.scene.schedule import RESOLUTIONS, Schedule, parse_schedule
 from nerfbake.stages._bricks import BrickCells, field_of_cells, lattice_frame, with_corners
+from nerfbake.stages._fit_devices import CpuFit, FitDevice
 
 BRICKS = ("top", "slots", "first", "places", "values")
 COUNTERS = ("stage", "epoch", "view", "built", "divided", "seed")
@@ -129,6 +130,7 @@ class FitState:
     divided        1 if there are cells of two widths, else 0
     gains          (views, 3): the factor for each channel between the field's colours and those of each view, or (0, 3)
                    if the views have the same exposure
+    device         what runs the steps; the arrays of the cells are current after read_back()
     """
 
     schedule: Schedule
@@ -142,6 +144,28 @@ class FitState:
     built: int = 0
     divided: int = 0
     gains: Floats = attribute(default_factory=lambda: np.ones((0, 3)))
+    device: FitDevice = attribute(default_factory=CpuFit)
+
+    def __post_init__(self) -> None:
+        self._mark()
+
+    def _mark(self) -> None:
+        self._read = self.stage, self.epoch, self.view, self.gains
+
+    def read_back(self) -> None:
+        """Make the arrays of the cells current. Raises DeviceError."""
+        self.device.read_back(self.cells)
+        self._mark()
+
+    def replace_cells(self, cells: BrickCells) -> None:
+        """Replace the cells by those of the next stage."""
+        self.cells, self.built = cells, self.stage
+        self._mark()
+
+    def return_to_cpu(self) -> None:
+        """Return to where the arrays of the cells were current, and go on from there on the CPU."""
+        self.device = CpuFit()
+        self.stage, self.epoch, self.view, self.gains = self._read
 
     @property
     def done(self) -> bool:
@@ -153,11 +177,16 @@ class FitState:
         return int(8 * self.cells.bricks.top.shape[1])
 
     def field(self) -> BrickField:
-        """Return the field as fitted so far. Raises MemoryLimit."""
+        """Return the field as fitted so far. Raises MemoryLimit, DeviceError."""
+        self.read_back()
         return field_of_cells(self.cells, self.box, Basis("SH", self.cells.B))
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return the arrays that of_arrays() takes, by name. They are not copies: the fit will change them."""
+        """Return the arrays that of_arrays() takes, by name. They are not copies: the fit will change them.
+
+        Raises DeviceError.
+        """
+        self.read_back()
         made = {name: getattr(self.cells.bricks, name) for name in BRICKS}
         counters = np.array([getattr(self, name) for name in COUNTERS], np.int64)
         text = np.frombuffer(f"{self.basis} {self.schedule}".encode(), np.uint8)

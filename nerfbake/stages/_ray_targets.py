@@ -39,7 +39,7 @@ def ray_targets(views: Views, view: int, *, scale: int, samples: int, ring: int 
     The picture is first reduced by the factor `scale`. ring None returns all pixels. Pixels that views.used() excludes
     are left out. samples: rays along each edge of a pixel.
     """
-    return _with_rays(_pixels(views, view, scale, ring), samples)
+    return _with_rays(used_pixels(views, view, scale, ring), samples)
 
 
 class KeptTargets:
@@ -50,7 +50,7 @@ class KeptTargets:
 
     def __init__(self, views: Views, *, ring: int | None) -> None:
         self._views, self._ring, self._scale = views, ring, 0
-        self._kept: dict[int, _Pixels] = {}
+        self._kept: dict[int, UsedPixels] = {}
         self._room, self.size = memory.left() // _SHARE, 0
 
     def of(self, view: int, *, scale: int, samples: int, keep: bool) -> RayTargets:
@@ -59,7 +59,7 @@ class KeptTargets:
             self._kept, self.size, self._scale = {}, 0, scale
         pixels = self._kept.get(view)
         if pixels is None:
-            pixels = _pixels(self._views, view, scale, self._ring)
+            pixels = used_pixels(self._views, view, scale, self._ring)
             size = pixels.numbers.nbytes + pixels.targets.nbytes
             if keep and self.size + size <= self._room:
                 self._kept[view] = pixels
@@ -71,7 +71,7 @@ class KeptTargets:
         self._kept, self.size, self._room = {}, 0, 0
 
 
-class _Pixels(NamedTuple):
+class UsedPixels(NamedTuple):
     """The pixels of a view that a fit uses. numbers, targets: as `pixels` and `targets` of RayTargets."""
 
     camera: Camera
@@ -79,7 +79,8 @@ class _Pixels(NamedTuple):
     targets: Singles
 
 
-def _pixels(views: Views, view: int, scale: int, ring: int | None) -> _Pixels:
+def used_pixels(views: Views, view: int, scale: int, ring: int | None) -> UsedPixels:
+    """Return the pixels of ray_targets(), and the camera of the reduced view."""
     camera, image = reduced_view(views, view, scale)
     if ring is not None:
         held = image[None, ..., 3] > 0
@@ -93,10 +94,10 @@ def _pixels(views: Views, view: int, scale: int, ring: int | None) -> _Pixels:
     pixels = np.empty(chosen.size, np.int32)
     found = kernels.number_pixels(np.ascontiguousarray(chosen), _tiles(camera.width, camera.height), pixels)
     pixels = pixels[:found].copy()
-    return _Pixels(camera, pixels, image.reshape(-1, 4)[pixels])
+    return UsedPixels(camera, pixels, image.reshape(-1, 4)[pixels])
 
 
-def _with_rays(pixels: _Pixels, samples: int) -> RayTargets:
+def _with_rays(pixels: UsedPixels, samples: int) -> RayTargets:
     directions = _directions(pixels.camera, pixels.numbers, samples)
     return RayTargets(pixels.camera.pose[:3, 3].copy(), pixels.numbers, pixels.targets, directions)
 

@@ -3,33 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nerfbake import memory
-from nerfbake.errors import InvalidScene, Problem
-from nerfbake.kernels.arrays import Bits, Floats, Points
-from nerfbake.kernels.fit.bricks import ROW, TaskBuffers, new_batch, round_cells
+from nerfbake.device.fit import Losses
+from nerfbake.errors import DeviceError, InvalidScene, Problem
+from nerfbake.kernels.arrays import Bits, Floats, Ints, Points
+from nerfbake.kernels.fit.bricks import round_cells
 from nerfbake.kernels.fit.plan import BrickPlan, divide_plan, double_plan, plan_of_kept
-from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
-from nerfbake.kernels.fit.update import LearningRates, take_steps
+from nerfbake.kernels.fit.update import LearningRates
 from nerfbake.kernels.march.sh import band_of
 from nerfbake.kernels.maths.elementary import exp, log, power
-from nerfbake.kernels.parallel import prefetched
 from nerfbake.kernels.picture.metrics import decibels
 from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.schedule import Rates, Schedule, Stage
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
+from nerfbake.stages._fit_devices import Look, Visit, fit_device
 from nerfbake.stages._fit_state import GAINS, FitState, coefficients
-from nerfbake.stages._ray_targets import KeptTargets, RayTargets, ray_targets
 from nerfbake.stages._scenery import close_wall, focus_distance, resolved, start_scenery, wall_of
 from nerfbake.stages.views_to_hull import find_solid, require_views
 
+if TYPE_CHECKING:
+    from nerfbake.device.gpu import Gpu
+
 __all__ = ["FitState", "continue_fit", "fit_field", "measure_state"]
 
-TASKS = 16  # tasks that share a view's pixels; more would not be faster on 16 cores, and would need more memory
 _ALPHA, _ROUGH_ALPHA = 0.5, 0.1  # weights of the loss of alpha: exact, and of rough masks
 _POINT = 0.08  # weight of the loss of each cell's own colour
 _PARTS = (1.0, 0.4, 0.2, 0.1, 0.05)  # step size of each SH band: the part that all views share is fitted first
@@ -58,8 +58,11 @@ def fit_field(
     seed: int = 0,
     exposure: bool = False,
     start: FitState | None = None,
+    gpu: Gpu | None = None,
 ) -> Iterator[FitState]:
-    """Fit a field to pictures. Yields the state of the fit after every picture; each yield returns the same object.
+    """Fit a field to pictures. Yields the state of the fit after every picture, or after a few on a graphics device.
+
+    Each yield returns the same object.
 
     The schedule sets the number of rays per pixel for each stage, and the field is best for pictures with the same
     number: 2 x 2 rays for photographs. box: as in carve_hull(); for views with scenery, the inner cube, which is None
@@ -83,6 +86,7 @@ def fit_field(
     """
     require_views(views)
     state = start or _started(views, schedule, basis, box, seed, exposure)
+    state.device = fit_device(gpu)
     if state.schedule != schedule:
         raise InvalidScene(Problem("the state's schedule", f"is {state.schedule}", str(schedule)))
     if state.view >= len(views.pictures):
@@ -93,10 +97,14 @@ def fit_field(
         raise InvalidScene(
             Problem("the state's gains", f"are {len(state.gains)}", f"{len(views.pictures)}, one per view")
         )
-    for _ in continue_fit(state, views):
-        if state.done:
-            _finish(state, views)
-        yield state
+    try:
+        for _ in continue_fit(state, views):
+            if state.done:
+                _finish(state, views)
+            yield state
+    except DeviceError:
+        state.return_to_cpu()
+        raise
 
 
 def continue_fit(
@@ -113,19 +121,15 @@ def continue_fit(
     with its smallest cells, for places that are measured in cells. most_mean: the largest mean residual of neighbouring
     pixels that counts in full, in the same stages. Raises InvalidScene, MemoryLimit.
     """
-    batch = None
-    # Rough masks leave cells outside the object.
-    targets = KeptTargets(views, ring=None if views.scenery or views.rough else _RING)
-    visits = prefetched(_visits(state, len(views.pictures), targets))
-    weights = _Weights(focus_distance(views, state.box), point, distortion, most_mean=most_mean)
+    ring = None if views.scenery or views.rough else _RING  # rough masks leave cells outside the object
+    state.device.begin(views, _looks(state, len(views.pictures), ring))
+    losses = Losses(focus_distance(views, state.box), point, distortion, most_mean=most_mean, alpha=_alpha(views))
     while not state.done:
         if state.built < state.stage:
-            batch = None  # frees its memory
             _rebuild(state, views)
-        batch = _visit(state, views, next(visits), batch, weights, targets)
-        _count_on(state, len(views.pictures))
+        _visit(state, views, losses)
         if state.view == 0:
-            batch = None  # frees its memory: the state may be measured now
+            state.device.rest()  # the state may be measured now
         yield state
 
 
@@ -133,26 +137,11 @@ def measure_state(state: FitState, views: Views, *, samples: int) -> float:
     """Return the mean PSNR in dB over views, rendered from the cells of the fit as they are.
 
     samples: rays along each edge of a pixel. Unlike measure_views(), this needs no field, and no more memory than a
-    step of the fit: colours are those in the direction of each cell's centre. Raises MemoryLimit.
+    step of the fit: colours are those in the direction of each cell's centre. Raises MemoryLimit, DeviceError.
     """
-    found, batch, weights = [], None, _Weights(focus_distance(views, state.box))
-    numbers = range(len(views.pictures))
-    for looks in prefetched(ray_targets(views, view, scale=1, samples=samples, ring=None) for view in numbers):
-        sums, batch = _marched(state, batch, looks, views, weights)
-        found.append(decibels(float(sums[0]) / max(3 * len(looks.pixels), 1)))
-        # Other tasks see the object in the next view: a new batch frees the memory of the rows that these have used.
-        batch = new_batch(TASKS, batch.base.shape[1], batch.rows.shape[1])
-    return sum(found) / len(found)
-
-
-class _Weights(NamedTuple):
-    """Weights of the losses beside the colours of pixels, and the largest residuals that count in full. See FitView."""
-
-    focus: float
-    point: float = 0.0
-    distortion: float = 0.0
-    most: float = np.inf
-    most_mean: float = np.inf
+    losses = Losses(focus_distance(views, state.box))
+    errors = state.device.measure(views, state.cells, samples, losses)
+    return sum(map(decibels, errors)) / len(errors)
 
 
 def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, seed: int, exposure: bool) -> FitState:
@@ -172,11 +161,12 @@ def _rebuild(state: FitState, views: Views) -> None:
     """Build the cells of the next stage."""
     bricks, B = state.cells.bricks, coefficients(state.schedule, state.basis, state.stage)
     smooth = bricks.smooth and state.stage < state.schedule.smooth
+    state.read_back()
     # The plan has no name here, so its memory is free before the values are copied.
-    state.cells = cells_of_plan(bricks, _next_plan(state, views), state.box, B, smooth=smooth)
+    cells = cells_of_plan(bricks, _next_plan(state, views), state.box, B, smooth=smooth)
     if views.scenery:
-        close_wall(state.cells)
-    state.built = state.stage
+        close_wall(cells)
+    state.replace_cells(cells)
 
 
 def _next_plan(state: FitState, views: Views) -> BrickPlan:
@@ -213,64 +203,49 @@ def _most_blamed(state: FitState, keep: Bits, share: float) -> Bits:
     return chosen & (blame >= 0)
 
 
-class _Visited(NamedTuple):
-    """A view and its pixels, in the order in which the fit visits the views."""
-
-    view: int
-    looks: RayTargets
-
-
-def _visits(state: FitState, views: int, targets: KeptTargets) -> Iterator[_Visited]:
-    """Yield the visits from the state's position to the end of its schedule."""
+def _looks(state: FitState, views: int, ring: int | None) -> Iterator[Look]:
+    """Yield the looks at the pictures from the state's position to the end of its schedule."""
     schedule, seed, begin = state.schedule, state.seed, (state.stage, state.epoch, state.view)
     for number, stage in enumerate(schedule):
         for epoch in range(stage.epochs):
-            order = np.random.default_rng([seed, number, epoch]).permutation(views)
-            again = epoch + 1 < stage.epochs
+            order = _order(seed, number, epoch, views)
             for place in range(views):
                 if (number, epoch, place) >= begin:
-                    view = int(order[place])
-                    yield _Visited(view, targets.of(view, scale=stage.scale, samples=stage.rays, keep=again))
+                    yield Look(int(order[place]), stage.scale, stage.rays, ring, epoch + 1 < stage.epochs)
 
 
-def _visit(
-    state: FitState,
-    views: Views,
-    visited: _Visited,
-    batch: TaskBuffers | None,
-    weights: _Weights,
-    targets: KeptTargets,
-) -> TaskBuffers | None:
-    """Render the pixels of one view, and update the cells."""
-    stage, cells, count = state.schedule[state.stage], state.cells, len(views.pictures)
-    if state.view == 0:
-        cells.seen[:, 1] = 0
-    view, looks = visited
-    if not len(looks.pixels):
-        return batch
-    if len(state.gains):
-        ground, wanted = (1 - looks.targets[:, 3:]) * np.array(views.background, np.float32), looks.targets.copy()
-        wanted[:, :3] = (wanted[:, :3] - ground) / state.gains[view].astype(np.float32) + ground
-        looks = looks._replace(targets=wanted)
+def _order(seed: int, stage: int, epoch: int, views: int) -> Ints:
+    """Return the order in which an epoch visits the views."""
+    return np.random.default_rng([seed, stage, epoch]).permutation(views)
+
+
+def _visit(state: FitState, views: Views, losses: Losses) -> None:
+    """Render the pixels of the next views, update the cells, and count on."""
+    stage, count, gains = state.schedule[state.stage], len(views.pictures), len(state.gains) > 0
+    order = _order(state.seed, state.stage, state.epoch, count)
     if views.scenery:
-        weights = weights._replace(distortion=_DISTORTION)
+        losses = losses._replace(distortion=_DISTORTION)
     elif stage.cells < state.schedule.resolution:
-        weights = weights._replace(distortion=0.0, most_mean=np.inf)
+        losses = losses._replace(distortion=0.0, most_mean=np.inf)
     else:
         # The loss measures places in distances to the middle of the box.
-        cells_away = weights.focus * stage.cells / float((state.box[1] - state.box[0]).mean())
-        weights = weights._replace(distortion=weights.distortion * cells_away)
+        cells_away = losses.focus * stage.cells / float((state.box[1] - state.box[0]).mean())
+        losses = losses._replace(distortion=losses.distortion * cells_away)
     if views.scenery or views.rough:
-        weights = weights._replace(most=_MOST, most_mean=np.inf)
-    sums, batch = _marched(state, batch, looks, views, weights, targets)
-    if len(state.gains) and state.stage:
-        _adapt_gains(state, view, sums)
-    part = (state.epoch * count + state.view) / max(stage.epochs * count - 1, 1)
-    parts, ridge = (np.array(each, np.float32)[band_of(cells.B)] for each in (_PARTS, _RIDGE))
-    rates = _rate(stage.density, part), _rate(stage.colour, part)
-    steps = LearningRates(*rates, parts, ridge, float(stage.rays**2))
-    take_steps(cells.bricks, batch, looks.eye, cells.means, cells.seen, steps)
-    return batch
+        losses = losses._replace(most=_MOST, most_mean=np.inf)
+    parts, ridge = (np.array(each, np.float32)[band_of(state.cells.B)] for each in (_PARTS, _RIDGE))
+    visits = []
+    for place in range(state.view, min(state.view + state.device.size(steady=gains), count)):
+        part = (state.epoch * count + place) / max(stage.epochs * count - 1, 1)
+        rates = _rate(stage.density, part), _rate(stage.colour, part)
+        steps, view = LearningRates(*rates, parts, ridge, float(stage.rays**2)), int(order[place])
+        visits.append(Visit(losses, state.gains[view] if gains else None, steps, fresh=place == 0))
+    adapts = gains and state.stage > 0
+    sums = state.device.visit(state.cells, visits, counted=adapts)
+    for place, own in enumerate(sums, start=state.view):
+        if adapts:
+            _adapt_gains(state, int(order[place]), own)
+    _count_on(state, len(visits), count)
 
 
 def _adapt_gains(state: FitState, view: int, sums: Floats) -> None:
@@ -284,6 +259,7 @@ def _adapt_gains(state: FitState, view: int, sums: Floats) -> None:
 
 def _finish(state: FitState, views: Views) -> None:
     """Prune the cells after the last stage, and round their values, so that files are smaller."""
+    state.read_back()
     bricks, covered = state.cells.bricks, state.cells.means[:, 1]
     if not views.scenery:
         keep = _visible(state, state.schedule[-1], views)
@@ -301,51 +277,15 @@ def _rate(rates: Rates, part: float) -> float:
     return rates[0] * float(power(rates[1] / rates[0], part))
 
 
-def _marched(
-    state: FitState,
-    batch: TaskBuffers | None,
-    looks: RayTargets,
-    views: Views,
-    weights: _Weights,
-    targets: KeptTargets | None = None,
-) -> tuple[Floats, TaskBuffers]:
-    """Render a view's pixels. Returns the sums of march_view(), and a larger batch if the view needs one.
-
-    targets: are given up if the batch needs their memory.
-    """
-    bricks, sums = state.cells.bricks, np.zeros((TASKS, SUMS))
-    background, alpha = np.array(views.background, np.float32), 0.0
-    if views.masked and not views.scenery:
-        alpha = _ROUGH_ALPHA if views.rough else _ALPHA
-    view = FitView(
-        looks.eye,
-        looks.directions,
-        looks.targets,
-        background,
-        alpha,
-        weights.point,
-        weights.distortion,
-        weights.focus,
-        weights.most,
-        weights.most_mean,
-    )
-    capacity = max(4096, len(bricks.places) // 8)
-    while True:
-        if batch is None:
-            size = TASKS * capacity * ROW * 4 + 4 * len(bricks.values)
-            if targets is not None and memory.left() < size + targets.size:
-                targets.give_up()
-            memory.require(f"fitting {len(bricks.places):,} cells", size)
-            batch = new_batch(TASKS, len(bricks.slots), capacity)
-        march_view(bricks, batch, view, sums)
-        capacity = int(batch.used.max())
-        if capacity <= batch.rows.shape[1]:
-            return sums.sum(axis=0), batch
-        batch, capacity = None, capacity * 5 // 4
+def _alpha(views: Views) -> float:
+    """Return the weight of the loss of alpha."""
+    if not views.masked or views.scenery:
+        return 0.0
+    return _ROUGH_ALPHA if views.rough else _ALPHA
 
 
-def _count_on(state: FitState, views: int) -> None:
-    state.view += 1
+def _count_on(state: FitState, visits: int, views: int) -> None:
+    state.view += visits
     if state.view == views:
         state.view, state.epoch = 0, state.epoch + 1
     if state.epoch == state.schedule[state.stage].epochs:
