@@ -77,7 +77,7 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     ),
     "Pages": (
         nerfbake,
-        "scene.page stages.scene_to_page stages.field_to_page_field stages.n3tree_to_page_shells"
+        "scene.page scene.page_splats stages.scene_to_page stages.field_to_page_field stages.n3tree_to_page_shells"
         " stages.stage1_to_page_surface stages.splats_to_page_splats",
     ),
     "Jobs: from files to files": (jobs, "jobs batch"),

@@ -34,6 +34,7 @@ def fit(
     scenery: Scenery = "auto",
     scale: str | None = None,
     ground: bool = False,
+    device: str = "auto",
     dtype: Literal["float16", "float32"] | None = None,
     progress: bool = False,
 ) -> N3Tree:
@@ -53,7 +54,8 @@ def fit(
     'SH1'
     """
 
-    from nerfbake.jobs.fits import FitOptions, fit_scene
+    from nerfbake.jobs.fit_options import FitOptions
+    from nerfbake.jobs.fits import fit_scene
     from nerfbake.jobs.photographs import PhotographOptions
     from nerfbake.jobs.world import WorldOptions
 
@@ -69,6 +71,7 @@ def fit(
         box=box,
         seed=seed,
         exposure=exposure,
+        device=device,
     )
     photographs = PhotographOptions(background=background, masks=masks, test=test, holdout=holdout, scenery=scenery)
     world = WorldOptions(scale=scale, ground=ground)

@@ -17,6 +17,7 @@ from nerfbake.cli.params import (
     as_json,
     bundled,
     console_options,
+    device_option,
     max_memory,
     seed,
     sh_bases,
@@ -31,7 +32,8 @@ from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
 if TYPE_CHECKING:
-    from nerfbake.jobs.fits import FitOptions, FitResult
+    from nerfbake.jobs.fit_options import FitOptions
+    from nerfbake.jobs.fits import FitResult
     from nerfbake.jobs.meshes import MeshViews
     from nerfbake.jobs.splats import SplatsViews
 
@@ -123,7 +125,7 @@ def _check_schedule(options: FitOptions) -> None:
 
 fit_options = bundled(
     "options",
-    "jobs.fits.FitOptions",
+    "jobs.fit_options.FitOptions",
     click.option(
         "--preset",
         type=click.Choice(["fast", "balanced", "best"]),
@@ -132,7 +134,9 @@ fit_options = bundled(
         "[default: balanced]",
     ),
     click.option(
-        "--minutes", type=NumberRange(0.1, 600), help="Select a schedule that takes this many minutes on two cores."
+        "--minutes",
+        type=NumberRange(0.1, 600),
+        help="Select a schedule that takes this many minutes on two cores, or on the graphics card.",
     ),
     click.option("--epochs", metavar="SCHEDULE", help="Schedule, in the notation in which each run prints its own."),
     click.option(
@@ -170,6 +174,7 @@ fit_options = bundled(
         "balance. fixed: use the photographs as they are. auto: fit if they show scenery.",
     ),
     seed,
+    device_option,
     check=_check_schedule,
 )
 
@@ -243,6 +248,7 @@ def _facts(source: str, fitted: FitResult) -> dict[str, Any]:
         "content": fitted.content,
         "bytes": fitted.bytes,
         "epochs": fitted.schedule,
+        "device": fitted.device,
         "psnr": fitted.psnr,
         "corrected": fitted.corrected,
         "ssim": fitted.ssim,

@@ -396,7 +396,7 @@ device_option = click.option(
     default="auto",
     show_default=True,
     metavar="auto|cpu|gpu|NAME",
-    help="What renders fields. auto: a graphics card if there is one; NAME: a part of a name in `info --devices`.",
+    help="What does the work. auto: a graphics card if there is one; NAME: a part of a name in `info --devices`.",
 )
 
 

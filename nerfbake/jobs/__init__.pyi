@@ -23,7 +23,7 @@ from .files import FolderTarget as FolderTarget
 from .files import Source as Source
 from .files import Stage1Source as Stage1Source
 from .files import Target as Target
-from .fits import FitOptions as FitOptions
+from .fit_options import FitOptions as FitOptions
 from .fits import FitResult as FitResult
 from .fits import fit_file as fit_file
 from .fits import fit_scene as fit_scene

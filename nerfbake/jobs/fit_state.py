@@ -23,6 +23,7 @@ from nerfbake.scene.schedule import Schedule, Stage
 from nerfbake.scene.views import Views
 
 if TYPE_CHECKING:
+    from nerfbake.device.gpu import Gpu
     from nerfbake.stages.views_to_field import FitState
 
 HANDFUL = 4  # held-out views that are measured during a fit
@@ -86,10 +87,12 @@ def _cost(stage: Stage) -> float:
 class FitRun:
     """Follows the states of a fit, and measures its quality on a few of the held-out views.
 
-    samples: rays along each edge of a pixel with which these are rendered.
+    samples: rays along each edge of a pixel with which these are rendered. gpu: the graphics device that does the work,
+    if any.
     """
 
-    def __init__(self, split: SplitViews, schedule: Schedule, samples: int) -> None:
+    def __init__(self, split: SplitViews, schedule: Schedule, samples: int, gpu: Gpu | None = None) -> None:
+        self.gpu = gpu
         held_out = split.held_out
         self._views, self._schedule, self._samples = len(split.training.pictures), schedule, samples
         count = len(held_out.pictures)
@@ -97,6 +100,23 @@ class FitRun:
         self._held_out = held_out.take(range(0, count, max(1, count // HANDFUL))[:HANDFUL])
         self._looked, self._epoch = 0.0, (0, 0)
         self.clock, self.curve = Clock(), list[CurvePoint]()
+
+    @property
+    def device(self) -> str:
+        """Name of the graphics device that does the work, or cpu."""
+        return "cpu" if self.gpu is None else self.gpu.name
+
+    def go_on_without_device(self, state: FitState | None) -> str:
+        """After an error of the device, let the CPU do the rest; return from where, as text.
+
+        state: the state of the fit, which returns to where it was last read; None: there is none yet.
+        """
+        self.gpu = None
+        if state is None:
+            return "the CPU does all of the fit"
+        state.return_to_cpu()
+        self._epoch = state.stage, state.epoch
+        return f"the CPU goes on from stage {state.stage + 1}, epoch {state.epoch + 1}"
 
     def goes_on(self, state: FitState, *, worked: float, passed: float, curve: Sequence[CurvePoint]) -> None:
         """Resume from the state of an earlier run, with its CPU seconds, wall-clock seconds and curve."""

@@ -8,11 +8,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from nerfbake import __version__, catalog, io, progress
-from nerfbake.errors import InvalidScene, Stopped, UsageError
+from nerfbake import catalog, io, progress
+from nerfbake.device.adapters import open_device
+from nerfbake.errors import DeviceError, Stopped, UsageError
 from nerfbake.installation import require_installed
 from nerfbake.jobs.compressions import CompressionGoal, coded_size_of
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
+from nerfbake.jobs.fit_options import FitOptions
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, kept_as_partial, write_partial
 from nerfbake.jobs.meshes import MeshFile, build_mesh, require_mesh
 from nerfbake.jobs.photographs import (
@@ -34,14 +36,7 @@ from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.origin import choose_origin_of_cameras, lost_origin, no_origin, origin_text
 from nerfbake.scene.quantised_octree import QuantisedOctree
-from nerfbake.scene.schedule import (
-    Schedule,
-    parse_schedule,
-    preset_schedule,
-    scenery_scale,
-    scenery_schedule,
-    schedule_for,
-)
+from nerfbake.scene.schedule import Schedule, scenery_scale
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views, world_box
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
@@ -51,14 +46,15 @@ from nerfbake.stages.field_to_splats import build_splats
 from nerfbake.stages.half import LARGEST
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.origins import origin_of
+from nerfbake.stages.renderers import KERNELS, DeviceRenderer
 from nerfbake.stages.scene_to_field import build_field, build_field_from_bricks
 from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views, plain_psnr
 
 if TYPE_CHECKING:
+    from nerfbake.device.gpu import Gpu
     from nerfbake.stages.views_to_field import FitState
 
 Dtype = Literal["float16", "float32"]
-Exposure = Literal["auto", "fit", "fixed"]
 
 
 def _tree(field: BrickField, dtype: Dtype | None, held_out: HeldOut | None) -> N3Tree:
@@ -94,81 +90,8 @@ KINDS = ("SparseVoxelOctree", "QuantisedOctree", "Volume", "Splats", "N3Tree", "
 _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # options of the format: svox deflates its files, too
 _IN_SINGLES = ("Meshes", "Splats", "N3Tree")  # types of scene whose formats store positions as float32
 _OF_INNER_CUBE = ("Meshes", "Splats")  # types of scene that store only the inner cube of a scene with scenery
-PRESET = "balanced"
 _FEW = 20  # views of scenery
 _POOR = 4.0  # dB above pictures of a single colour
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitOptions:
-    """Options of a fit.
-
-    preset      schedule of stages: fast, balanced or best; None: balanced, unless minutes or epochs is given
-    minutes     select a schedule that takes this many minutes on two cores
-    epochs      schedule as text, in the notation in which it is printed; it sets its own resolution and samples
-    resolution  cells along each axis of the lattice, before some of them are split; with scenery, of the inner cube,
-                after some of them are split; None: 256, or 512 for objects in pictures of 600 pixels or more
-    samples     rays along each edge of a pixel, 1 or 2: choose the value that the field will be rendered with; with
-                scenery it is only measured with them
-    basis       SH basis of the colours, SH1 to SH25; None: SH9, or SH16 for the preset best of an object
-    box         x0, y0, z0, x1, y1, z1 of the box around the object in world coordinates, or of the inner cube of
-                scenery; None: from the pictures, or from the cameras
-    seed        seed for the order of the views: the same seed gives the same bytes
-    exposure    fit: also fit a gain for each view and channel, which removes differences of exposure and of white
-                balance; fixed: use all pictures as they are; auto: fit for pictures with scenery
-    """
-
-    preset: str | None = None
-    minutes: float | None = None
-    epochs: str | None = None
-    resolution: int | None = None
-    samples: int = 2
-    basis: str | None = None
-    box: tuple[float, float, float, float, float, float] | None = None
-    seed: int = 0
-    exposure: Exposure = "auto"
-
-    def basis_of(self, views: Views) -> str:
-        """Return the basis of the fit of these views."""
-        return self.basis or ("SH16" if self.preset == "best" and not views.scenery else "SH9")
-
-    def gains(self, views: Views) -> bool:
-        """Return whether the fit of these views has gains."""
-        return self.exposure == "fit" or (self.exposure == "auto" and views.scenery)
-
-    def schedule(self, views: Views | None = None) -> Schedule:
-        """Return the stages. views: the training views, if known. Raises UsageError for contradictory options."""
-        given = [name for name in ("preset", "minutes", "epochs") if getattr(self, name) is not None]
-        if len(given) > 1:
-            names = " and ".join(f"`{name}`" for name in given)
-            raise UsageError(f"{names} each select a schedule; allowed: one of them")
-        request: dict[str, Any] = {"resolution": self.resolution, "samples": self.samples}
-        edge = 0
-        if views is not None:
-            edge = min(min(camera.width, camera.height) for camera in views.cameras.cameras)
-            request |= {"views": len(views.pictures), "edge": edge}
-        try:
-            if self.epochs is not None:
-                return parse_schedule(self.epochs)
-            if views is not None and views.scenery:
-                sizes = {"resolution": self.resolution or 256, "views": len(views.pictures), "edge": edge}
-                return scenery_schedule(self.preset or PRESET, **sizes, minutes=self.minutes)
-            if views is not None:
-                request["side"] = views.side()
-            if self.minutes is not None:
-                return schedule_for(self.minutes, **request)
-            return preset_schedule(self.preset or PRESET, **request)
-        except InvalidScene as error:
-            raise UsageError(error.what) from None
-
-    def rays(self, schedule: Schedule) -> int:
-        """Return the rays along each edge of a pixel with which the held-out views are rendered."""
-        return self.samples if self.epochs is None else schedule[-1].rays
-
-    def fingerprint(self, schedule: Schedule, views: Views) -> dict[str, str]:
-        """Return everything besides the pictures that the output bytes depend on."""
-        rest = {name: str(getattr(self, name)) for name in ("box", "seed", "exposure")}
-        return {"nerfbake": __version__, "schedule": str(schedule), "basis": self.basis_of(views), **rest}
 
 
 @dataclass(frozen=True)
@@ -178,6 +101,7 @@ class FitResult(MeasuredViews):
     path      path of the file; content: description of its contents; bytes: its size
     schedule  the schedule, in the notation of --epochs
     views     error of the file on each of the held-out views
+    device    name of the graphics device that did the work, or cpu
     worked    CPU seconds, without compiling kernels and without measuring; passed: the same in wall-clock seconds
     curve     quality during the fit
     """
@@ -186,6 +110,7 @@ class FitResult(MeasuredViews):
     content: str
     bytes: int
     schedule: str
+    device: str
     views: tuple[ViewError, ...]
     worked: float
     passed: float
@@ -217,8 +142,9 @@ def fit_scene(
     source = as_source(source)
     photographs.require()
     options.schedule()
-    split, schedule = _read(steps, source, photographs, world, options, "N3Tree")
-    run = FitRun(split, schedule, options.rays(schedule))
+    gpu = open_device(options.device)
+    split, schedule = _read(steps, source, photographs, world, options, "N3Tree", gpu)
+    run = FitRun(split, schedule, options.rays(schedule), gpu)
     field = _fit(steps, source, split, schedule, options, run, None, threading.Event())
     with steps.phase("putting the field together"):
         return _tree(field, dtype, _held_out(split.held_out, options.rays(schedule)))
@@ -260,7 +186,8 @@ def fit_file(
         raise UsageError(f"`dtype` has no effect on {target.path}; allowed: with a PlenOctree")
     if state is not None:
         io.require_checkpoints(state)
-    split, schedule = _read(steps, source, photographs, world, options, kind)
+    gpu = open_device(options.device)
+    split, schedule = _read(steps, source, photographs, world, options, kind, gpu)
     held_out = split.held_out
     if held_out.scenery and kind not in ("N3Tree", *_OF_INNER_CUBE):
         found = f"{source.name} has scenery behind the object, which {target.path} cannot store"
@@ -275,7 +202,7 @@ def fit_file(
         if state is None
         else CheckpointWriter(state, options.fingerprint(schedule, split.training), split.training)
     )
-    run = FitRun(split, schedule, options.rays(schedule))
+    run = FitRun(split, schedule, options.rays(schedule), gpu)
     with ExitStack() as output:
         with interrupts() as interrupted:
             field = _fit(steps, source, split, schedule, options, run, checkpoints, interrupted)
@@ -330,6 +257,7 @@ def _read(
     world: WorldOptions,
     options: FitOptions,
     kind: str,
+    gpu: Gpu | None,
 ) -> tuple[SplitViews, Schedule]:
     """Read the photographs of a capture, and return the schedule for them.
 
@@ -342,13 +270,13 @@ def _read(
     if (origin := choose_origin_of_cameras(split.training.cameras.eyes)).any():
         steps.say(f"{source.name}: the cameras are far from 0; the fit is relative to {origin_text(origin)}")
         split = split.moved(origin)
-    schedule = options.schedule(split.training)
+    schedule = options.schedule(split.training, gpu=gpu)
     if not split.training.scenery or kind in _OF_INNER_CUBE:
         return split, schedule
     edge = min(min(camera.width, camera.height) for views in split for camera in views.cameras.cameras)
     if (factor := scenery_scale(edge, schedule.finest)) > 1:
         split = SplitViews(*(views.reduced(factor) for views in split))
-        schedule = options.schedule(split.training)
+        schedule = options.schedule(split.training, gpu=gpu)
         first = split.training.cameras.cameras[0]
         steps.say(f"{source.name}: fits to and measures on pictures of {first.width}x{first.height} pixels")
     return split, schedule
@@ -395,19 +323,27 @@ def _fit(
 
     views = split.training
     state = start = _start(checkpoints, run)
+    if run.gpu is not None:
+        steps.say(f"{source.name}: fits on {run.device}")
     with steps.phase("fitting"), io.blame(source.name):
         box = None if options.box is None else world_box(options.box) - split.origin
         chosen: dict[str, Any] = {"basis": options.basis_of(views), "box": box, "seed": options.seed}
-        for state in fit_field(views, schedule=schedule, exposure=options.gains(views), start=start, **chosen):
-            with progress.listening(None):  # measuring does not report progress
-                ended = run.follow(state)
-            if checkpoints is not None and (ended or interrupted.is_set() or checkpoints.is_due):
-                _keep(checkpoints, state, run)
-            progress.report(run.share(state), run.progress_text(state))
-            if interrupted.is_set():
-                break
-        assert state is not None, "a schedule has at least one step"
-        return state.field()
+        chosen |= {"schedule": schedule, "exposure": options.gains(views)}
+        while True:
+            try:
+                for state in fit_field(views, start=start, gpu=run.gpu, **chosen):
+                    with progress.listening(None):  # measuring does not report progress
+                        ended = run.follow(state)
+                    if checkpoints is not None and (ended or interrupted.is_set() or checkpoints.is_due):
+                        _keep(checkpoints, state, run)
+                    progress.report(run.share(state), run.progress_text(state))
+                    if interrupted.is_set():
+                        break
+                assert state is not None, "a schedule has at least one step"
+                return state.field()
+            except DeviceError as error:
+                steps.say(f"{error}; {run.go_on_without_device(state)}")
+                start = state
 
 
 def _start(checkpoints: CheckpointWriter | None, run: FitRun) -> FitState | None:
@@ -482,10 +418,11 @@ def _judged(
         if (start := origin_of(loaded.scene)).any():  # a reader may choose another one than the fit did
             near = held_out.cameras.relative_to(start - held_out.cameras.origin)
             held_out = replace(held_out, cameras=near)
-        views = measure_views(scene, held_out, samples=samples)
+        render = KERNELS if run.gpu is None else DeviceRenderer(run.gpu, steps.say)
+        views = measure_views(scene, held_out, samples=samples, render=render)
         shapes = measure_silhouettes(scene, held_out) if isinstance(scene, Meshes) else ()
-    content = str(loaded.scene)
-    fitted = FitResult(target.path, content, loaded.size, str(schedule), views, worked, passed, tuple(run.curve))
+    facts = target.path, str(loaded.scene), loaded.size, str(schedule), run.device
+    fitted = FitResult(*facts, views, worked, passed, tuple(run.curve))
     io.report_result(psnr=fitted.psnr)
     corrected = f" ({fitted.corrected:.2f} dB with their exposures corrected)" if options.gains(held_out) else ""
     rays = replace(held_out.cameras, samples=samples).rays_text
