@@ -29,6 +29,7 @@ from .scene.page_splats import PageSplats as PageSplats
 from .scene.quantised_octree import QuantisedOctree as QuantisedOctree
 from .scene.radiance_field import RadianceField as RadianceField
 from .scene.shipment import Shipment as Shipment
+from .scene.splat_levels import SplatLevels as SplatLevels
 from .scene.splats import Splats as Splats
 from .scene.stage1 import SpecularField as SpecularField
 from .scene.stage1 import Stage1 as Stage1

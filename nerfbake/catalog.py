@@ -199,6 +199,7 @@ FOLDERS = (
     FolderKind("plenvdb", "LatticeField", "field.plenvdb", "PlenVDB's folder", key="finedensity.vdb"),
     FolderKind("merf", "LatticeField", "field.merf", "MERF's folder", _BLOCKS, _BAKED, writable=False),
     FolderKind("sog_folder", "Splats", "splat.sog_folder", "folder of a .sog", "meta.json", _SOG),
+    FolderKind("sog_levels", "SplatLevels", "splat.sog_levels", "levels of splats", "lod-meta.json", _SOG[1:]),
     FolderKind("snerg", "LatticeField", "field.snerg", "SNeRG's folder", "scene_params.json", _BAKED, writable=False),
 )
 
@@ -280,6 +281,7 @@ NOUNS = {
     "QuantisedOctree": "a compressed octree",
     "Shipment": "the receipt of a shipment",
     "SparseVoxelOctree": "an octree",
+    "SplatLevels": "levels of Gaussian splats",
     "Splats": "Gaussian splats",
     "Stage1": "a stage-1 folder",
     "Volume": "a volume",
@@ -383,14 +385,13 @@ def folder_to_write(scene: str) -> FolderKind:
     raise UsageError(f"a {scene} cannot be written as a folder; allowed: {known}")
 
 
-def folder_of_key(path: str, scene: str) -> FolderKind | None:
-    """Return the kind of folder that stores this scene type and is written if OUT is this path: the file of its key.
+def folder_of_key(path: str) -> FolderKind | None:
+    """Return the kind of folder that is written if OUT is this path: the file of its key; None for any other file.
 
     Only kinds whose key may be given instead of the folder are written so.
     """
     name = PurePath(path).name
-    known = (kind for kind in folders_of(scene) if kind.writable)
-    return next((kind for kind in known if kind.key == name and name in kind.members), None)
+    return next((kind for kind in FOLDERS if kind.writable and kind.key == name and name in kind.members), None)
 
 
 def folder_of_content(files: Mapping[str, memoryview], *wanted: str) -> FolderKind:
@@ -439,12 +440,6 @@ def dialects_in(files: contract.HeadedFiles) -> list[tuple[Dialect, str]]:
             if form in forms:
                 found.setdefault(form, []).append(path)
     return [(form, path) for form in DIALECTS for path in found.get(form, [])[: 1 if form.is_many else None]]
-
-
-def writes_cameras(ending: str, to: str | None) -> bool:
-    """True if OUT can only be cameras: no extension or name of a format for splats, which may be the same."""
-    found = cameras_to_write(ending, to) is not None
-    return found and not is_ending(ending, "Splats") and folder_of_key(ending, "Splats") is None
 
 
 def cameras_to_write(ending: str, to: str | None) -> AnyFormat | Dialect | None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from nerfbake.catalog import writes_cameras
+from nerfbake.catalog import cameras_to_write, folder_of_key, is_ending
 from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     ALL,
@@ -83,7 +83,7 @@ def convert(source: Source, target: Target, console: Console, world: WorldOption
       nerfbake convert flight/transforms.json metres.json --scale gps --ground
     """
 
-    if writes_cameras(target.ending, target.to):
+    if _is_of_cameras(target):
         _refuse_options()
         from nerfbake.jobs.cameras import convert_cameras
 
@@ -100,6 +100,13 @@ def convert(source: Source, target: Target, console: Console, world: WorldOption
     split_volume(
         source, target, in_up=options["choice"].in_up, codec=options["codec"], half=options["half"], steps=console
     )
+
+
+def _is_of_cameras(target: Target) -> bool:
+    """True if OUT can only be cameras. Their formats and those of splats share extensions and names of files."""
+    if is_ending(target.ending, "Splats") or (target.to is None and folder_of_key(target.path)):
+        return False
+    return cameras_to_write(target.ending, target.to) is not None
 
 
 def _refuse_options() -> None:

@@ -99,7 +99,12 @@ class JudgedOutput(Writes):
                 "--grid all writes files whose names depend on the contents of IN; allowed in a batch: --grid NAME"
             )
         judged = options.get("min_psnr") is not None
-        return DeclaredPaths(writes=paths, spare=tuple(str(rejected_path(path)) for path in paths) if judged else ())
+        return DeclaredPaths(writes=paths, spare=tuple(map(_rejected, paths)) if judged else ())
+
+
+def _rejected(path: str) -> str:
+    """What an output is renamed to: the folder, if the path is that of its key."""
+    return str(rejected_path(path if catalog.folder_of_key(path) is None else PurePath(path).parent))
 
 
 class MeshOutput(JudgedOutput):

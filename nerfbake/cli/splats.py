@@ -55,6 +55,12 @@ class SplatCount(ParamType[int]):
     type=SplatCount(),
     help="Largest number of splats, for example 150k.  [default: 150k; all splats of IN]",
 )
+@click.option(
+    "--levels",
+    type=click.IntRange(1, 8),
+    help="Levels of detail of a folder, each with a quarter of the splats of the one before (OUT FOLDER/lod-meta.json)."
+    "  [default: 4]",
+)
 @bundled(
     "parts",
     "jobs.splat_parts.SplatParts",
@@ -99,6 +105,7 @@ def splats(
     source: tuple[str, ...],
     target: Target,
     count: int | None,
+    levels: int | None,
     parts: SplatParts,
     epochs: int,
     splats: SplatChoice,
@@ -118,12 +125,17 @@ def splats(
 
     Splats of a field stand upright in OUT: z of the field becomes the up axis of the format.
 
+    If OUT is FOLDER/lod-meta.json, the folder has levels of detail, which PlayCanvas' viewers load by distance
+    ("streamed SOG"): OUT as above, then its splats merged to a quarter, and fitted, again and again. Prints the PSNR
+    and SSIM of each level.
+
     \b
       nerfbake splats chair.npz chair.spz
       nerfbake splats chair.npz chair.ply --count 50k --epochs 5
       nerfbake splats chair.npz chair.spz --views photographs --min-psnr 34
       nerfbake splats chair.npz chair.ply --in-up=-y
       nerfbake splats scene.ply small.spz --count 100k --floaters
+      nerfbake splats scene.ply web/lod-meta.json --levels 3
       nerfbake splats room.ply table.ply both.spz --box=-2,-2,-2,2,2,2
     """
 
@@ -139,7 +151,7 @@ def splats(
     bake_splats(
         [Source(path) for path in source],
         target,
-        options=SplatsOptions(splats=count, parts=parts, epochs=epochs, seed=seed),
+        options=SplatsOptions(splats=count, levels=levels, parts=parts, epochs=epochs, seed=seed),
         choice=splats,
         steps=console,
         report=report,
@@ -157,6 +169,7 @@ def _facts(source: tuple[str, ...], found: SplatsResult) -> dict[str, Any]:
         "splats": found.splats,
         "psnr": found.psnr,
         "ssim": found.ssim,
+        "levels": [level._asdict() for level in found.levels],
         "cpu_seconds": found.worked,
         "seconds": found.passed,
         "views": [view._asdict() for view in found.views],

@@ -206,14 +206,15 @@ def _these(names: Sequence[str]) -> FolderContents:
 
 
 def keep_pending(part: Path, kept: Path, *, folder: bool) -> None:
-    """Rename a file that was not given its name yet. folder: with the files beside it, to a folder."""
-    if not folder:
+    """Rename a file or a folder that was not given its name yet. folder: a file with those beside it, to a folder."""
+    whole = part if part.is_dir() else part.parent
+    if not folder and not part.is_dir():
         require_absent(kept, force=True)
         shutil.move(part, kept)
         return
-    contents = _these([path.name for path in part.parent.iterdir()])
+    contents = _these([str(path.relative_to(whole)) for path in whole.rglob("*") if path.is_file()])
     require_no_folder(kept, contents, force=True)
-    _put_folder(part.parent, kept, contents, force=True)
+    _put_folder(whole, kept, contents, force=True)
 
 
 @contextmanager

@@ -80,6 +80,8 @@ def convert_file(
         if catalog.is_ending(target.ending, "Cameras"):
             return _convert_stage(steps, source, target, in_up=choice.in_up, choice=splats)
         return convert_splats(source, target, in_up=choice.in_up, choice=splats, steps=steps)
+    if target.folder("SplatLevels"):
+        raise UsageError(f"{target.path} holds levels of splats; allowed: `nerfbake splats`, which makes them")
     if splats != SplatChoice():
         given = [name for name, value in vars(splats).items() if value]
         allowed = "`nerfbake compress` for octrees" if given == ["small"] else "OUT of splats"
@@ -214,7 +216,7 @@ def _write_splats(
     splats = choice.read(steps, source, read)
     with source.blamed(steps, "checking the splats"):
         splats.require_usable()
-    splats = turned_up(steps, source, splats, require_up(in_up))
+    (splats,) = turned_up(steps, source, require_up(in_up), splats)
     if splats.origin.any() and not module.KEEPS_ORIGIN:
         steps.say(f"{target.name}: {lost_origin(splats.origin, form.suffix)}")
         splats = replace(splats, origin=no_origin())

@@ -131,9 +131,8 @@ class Target(NamedTuple):
 
     def folder(self, scene: str) -> FolderTarget | None:
         """Return the folder that is written if the path is that of its key, which identifies its kind; else None."""
-        if self.to is not None or catalog.folder_of_key(self.path, scene) is None:
-            return None
-        return FolderTarget(str(Path(self.path).parent), self.force)
+        kind = catalog.folder_of_key(self.path) if self.to is None else None
+        return FolderTarget(str(Path(self.path).parent), self.force) if kind and kind.scene == scene else None
 
     def require(self, scene: str, **options: Any) -> catalog.Format:
         """Return the format to write. Call it before doing any work. Options that are None count as not given.

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from nerfbake import io
 from nerfbake.errors import InvalidFile, MemoryLimit, NerfbakeError, Problem, Stopped
-from nerfbake.jobs.files import Target
+from nerfbake.jobs.files import FolderTarget, Target
 from nerfbake.jobs.photographs import SplitViews
 from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.compile_times import compiling
@@ -267,8 +267,15 @@ def write_partial(
     raise Stopped(f"stopped before the end: {partial.path} has the current state{goes_on}")
 
 
+def write_partial_folder(steps: Steps, target: FolderTarget, scene: Any) -> NoReturn:
+    """Write the current state as the folder target.partial and raise Stopped."""
+    partial = target._replace(path=f"{target.path}.partial", force=True)
+    partial.write(steps, scene)
+    raise Stopped(f"stopped before the end: {partial.path} has the current state")
+
+
 @contextmanager
-def kept_as_partial(steps: Steps, target: Target, written: io.PendingFile) -> Iterator[None]:
+def kept_as_partial(steps: Steps, target: Target | FolderTarget, written: io.PendingFile) -> Iterator[None]:
     """Run a block that measures an output. If it fails, the output becomes target.partial: the work took long."""
     try:
         yield

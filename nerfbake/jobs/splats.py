@@ -6,18 +6,29 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from nerfbake import catalog, io, progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import FRAMES, Budget, reporting
-from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back
-from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial
+from nerfbake.jobs.files import (
+    AnySource,
+    AnyTarget,
+    FolderTarget,
+    Source,
+    Target,
+    as_source,
+    as_target,
+    read_back,
+    read_back_as,
+)
+from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial, write_partial_folder
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.photographs import (
     MeasuredViews,
     PhotographOptions,
     SplitViews,
+    mean_of,
     read_photographs,
     read_photographs_of,
     render_split,
@@ -27,9 +38,10 @@ from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.splat_parts import SplatParts, read_joined, require_sources
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.jobs.upright import field_turned_up, require_up, turned_up
+from nerfbake.jobs.upright import fields_turned_up, require_up, turned_up
 from nerfbake.jobs.views import picture_views
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splat_levels import SplatLevels
 from nerfbake.scene.splats import Splats, Up
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_to_splats import COUNT, build_splats
@@ -38,6 +50,7 @@ from nerfbake.stages.splats_to_splats import merge_splats
 from nerfbake.stages.views_to_error import ViewError, measure_views
 
 EDGE = 400  # width and height of rendered pictures, in pixels
+LEVELS, LESS = 4, 4  # levels of detail, each with a quarter of the splats of the one before
 PICTURES = 100  # rendered pictures that are fitted to
 _ZOOM = 1.13  # the object fills the pictures about as in photographs
 
@@ -84,24 +97,42 @@ class SplatsOptions:
     """How many splats there are, and how they are fitted.
 
     splats  the largest number of splats; None: 150,000 of a field, all of splats
+    levels  of OUT lod-meta.json: levels of detail, each with a quarter of the splats of the one before; None: 4
     parts   which splats of the input are kept; of splats only
     epochs  passes over the pictures; 0: merged splats are not fitted
     seed    of the order of the pictures
     """
 
     splats: int | None = None
+    levels: int | None = None
     parts: SplatParts = SplatParts()
     epochs: int = 4
     seed: int = 0
 
 
+class LevelQuality(NamedTuple):
+    """A level of detail: its number of splats, and its mean PSNR in dB and SSIM on the held-out views."""
+
+    splats: int
+    psnr: float
+    ssim: float
+
+    @staticmethod
+    def of(level: Splats, views: Sequence[ViewError]) -> LevelQuality:
+        return LevelQuality(level.n, mean_of(views, "psnr"), mean_of(views, "ssim"))
+
+    def __str__(self) -> str:
+        return f"{self.splats:,} splats, {self.psnr:.2f} dB, SSIM {self.ssim:.4f}"
+
+
 @dataclass(frozen=True)
 class SplatsResult(MeasuredViews):
-    """The result of baking splats, measured on the written file.
+    """The result of baking splats, measured on what was written.
 
     path    path of the file; content: description of its contents; bytes: its size; splats: their number
-    views   error of the file on each of the held-out views
+    views   error of the file, or of its finest level, on each of the held-out views
     worked  CPU seconds, without compiling kernels and without measuring; passed: the same in wall-clock seconds
+    levels  quality of each level of detail, the finest first; of a single file none
     """
 
     path: str
@@ -111,6 +142,7 @@ class SplatsResult(MeasuredViews):
     views: tuple[ViewError, ...]
     worked: float
     passed: float
+    levels: tuple[LevelQuality, ...] = ()
 
 
 def bake_splats(
@@ -130,10 +162,12 @@ def bake_splats(
 
     This is `nerfbake splats`. Reads `source`, any scene with a field, or splats, also of several files, which are
     joined; and the photographs of `pictures`. Splats are cut and merged before the fit; if none are merged, they are
-    fitted to photographs alone. Writes
-    `target`, or `target`.rejected if it is below `min_psnr`, in dB on the held-out views. Ctrl-C writes the current
-    state as `target`.partial and raises Stopped (exit code 130). If the file cannot be measured, it is kept under this
-    name. Raises NerfbakeError.
+    fitted to photographs alone. Writes `target`, or `target`.rejected if it is below `min_psnr`, in dB on the held-out
+    views. Ctrl-C writes the current state as `target`.partial and raises Stopped (exit code 130). If the file cannot be
+    measured, it is kept under this name. Raises NerfbakeError.
+
+    For a `target` FOLDER/lod-meta.json, the folder has levels of detail. Each further level is merged from the one
+    before, and fitted to the same pictures; `min_psnr` is a limit for the finest.
 
     in_up   the axis of the world of `source` that points up: x, -x, y, -y, z or -z. The splats are rotated so that it
             becomes -y, which formats of splats store as their own up axis. None: splats of splats are not rotated; of a
@@ -151,31 +185,75 @@ def bake_splats(
     target = as_target(target)
     pictures.photographs.require()
     up, written_as = require_up(in_up), choice.of_format
-    form = _require(target, min_psnr, written_as)
+    folder = target.folder("SplatLevels")
+    form = _require(target, folder, sources, options, min_psnr, written_as)
     require_sources(sources)
+    keeps_up = folder is None and form.load_splat_module().KEEPS_UP
+    levels = 0 if folder is None else options.levels or LEVELS
+    made = _make(steps, sources, pictures, options, functions, up, choice, keeps_up=keeps_up, levels=levels)
+    splats = made.levels[0]
+    place, scene = (target, splats) if folder is None else (folder, SplatLevels(made.levels))
+    if made.is_interrupted:
+        if folder is not None:
+            write_partial_folder(steps, folder, scene)
+        write_partial(steps, target, "Splats", splats)
+    reported = reporting(lambda: report(found) if report is not None else None)
+    with reported, place.writing(steps, scene, **written_as) as written:
+        with kept_as_partial(steps, place, written):
+            each_level, content = _measured(steps, target, written, made.split.held_out, scene, made.up, written_as)
+        qualities = tuple(map(LevelQuality.of, made.levels, each_level)) if folder is not None else ()
+        worked, passed = made.seconds
+        found = SplatsResult(target.path, content, written.size, splats.n, each_level[0], worked, passed, qualities)
+        if folder is not None:
+            steps.say(f"{folder.path}: {scene}, {written.size:,} bytes")
+        for number, level in enumerate(qualities):
+            steps.say(f"{target.path}: level {number}: {level}")
+        io.report_result(psnr=found.psnr)
+        judged_on = f"{made.split.held_out}{made.against}"
+        Budget(min_psnr=min_psnr).judge(found.psnr, "the splats have", judged_on)
+        seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {judged_on}"
+        steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
+    return found
+
+
+class _Made(NamedTuple):
+    """Splats by level, the finest first, and the views that they were fitted to and that judge them.
+
+    up: the axis of the world of the views by which the splats were turned; None: they were not. against: what the views
+    show, in words. is_interrupted: Ctrl-C stopped a fit. seconds: of CPU, and wall-clock.
+    """
+
+    levels: tuple[Splats, ...]
+    up: Up | None
+    split: SplitViews
+    against: str
+    is_interrupted: bool
+    seconds: tuple[float, float]
+
+
+def _make(
+    steps: Steps,
+    sources: Sequence[Source],
+    pictures: SplatsViews,
+    options: SplatsOptions,
+    functions: FunctionVoxels,
+    up: Up | None,
+    choice: SplatChoice,
+    *,
+    keeps_up: bool,
+    levels: int,
+) -> _Made:
+    """Read the sources, and return their splats, merged, fitted, and upright in OUT.
+
+    keeps_up: OUT says which axis points up. levels: those of OUT, 0 if it has none.
+    """
     first = sources[0]
     reading = Reading(steps, first, *((Splats,) if len(sources) > 1 else ()), functions=functions)
     reading.require()
     options.parts.require(reading)
     reading.require(taken={"in_axes": (Splats,)}, in_axes=choice.in_axes)
     clock = Clock()
-    if isinstance(reading.scene, Splats):
-        original = options.parts.of(steps, first, read_joined(steps, sources, reading.scene, choice))
-        del reading
-        count = options.splats or original.n
-        fitted = options.epochs > 0 and (count < original.n or pictures.views is not None)
-        split = pictures.split_of(steps, first, original, fitted=fitted)
-        against = "" if pictures.views else f" of {first.name}" if len(sources) == 1 else " of the joined splats"
-        with interrupts() as interrupted:
-            with first.blamed(steps, "merging splats"):
-                splats = merge_splats(original, count=count)
-            del original
-            if fitted:
-                steps.say(f"{first.name}: fits {splats} to {split.training}, measures on {split.held_out}{against}")
-                splats = fitted_splats(steps, first, splats, split.training, options, interrupted)
-        with first.blamed(steps, "turning the splats"):
-            splats = turned_up(steps, first, splats, up)
-    else:
+    if not isinstance(reading.scene, Splats):
         if not options.epochs:
             raise UsageError("`epochs` 0 has no effect on a field; allowed: with splats that are merged")
         reading.use_inner_cube()
@@ -189,21 +267,49 @@ def bake_splats(
                 splats = build_splats(field, count=options.splats or COUNT, cameras=cameras)
             del field
             splats = fitted_splats(steps, first, splats, split.training, options, interrupted)
+            made = _with_levels(steps, first, splats, split.training, options, interrupted, levels)
         with first.blamed(steps, "turning the splats"):
-            splats, up = field_turned_up(form, splats, up)
-    if interrupted.is_set():
-        write_partial(steps, target, "Splats", splats)
-    worked, passed = clock.worked, clock.passed
-    reported = reporting(lambda: report(found) if report is not None else None)
-    with reported, target.writing(steps, splats, **written_as) as written:
-        with kept_as_partial(steps, target, written):
-            views, content = _measured(steps, target, written.path, split.held_out, splats, up, written_as)
-        found = SplatsResult(target.path, content, written.size, splats.n, views, worked, passed)
-        io.report_result(psnr=found.psnr)
-        Budget(min_psnr=min_psnr).judge(found.psnr, "the splats have", f"{split.held_out}{against}")
-        seen = f"{found.psnr:.2f} dB, SSIM {found.ssim:.4f} on {split.held_out}{against}"
-        steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
-    return found
+            made, up = fields_turned_up(made, up, keeps_up=keeps_up)
+    else:
+        original = options.parts.of(steps, first, read_joined(steps, sources, reading.scene, choice))
+        del reading
+        count = options.splats or original.n
+        merged = count < original.n
+        fitted = options.epochs > 0 and (merged or levels > 1 or pictures.views is not None)
+        split = pictures.split_of(steps, first, original, fitted=fitted)
+        against = "" if pictures.views else f" of {first.name}" if len(sources) == 1 else " of the joined splats"
+        with interrupts() as interrupted:
+            with first.blamed(steps, "merging splats"):
+                splats = merge_splats(original, count=count)
+            del original
+            if fitted:
+                steps.say(f"{first.name}: fits {splats} to {split.training}, measures on {split.held_out}{against}")
+            if fitted and (merged or pictures.views is not None):
+                splats = fitted_splats(steps, first, splats, split.training, options, interrupted)
+            made = _with_levels(steps, first, splats, split.training, options, interrupted, levels)
+        with first.blamed(steps, "turning the splats"):
+            made = turned_up(steps, first, up, *made)
+    return _Made(made, up, split, against, interrupted.is_set(), (clock.worked, clock.passed))
+
+
+def _with_levels(
+    steps: Steps,
+    source: Source,
+    finest: Splats,
+    views: Views,
+    options: SplatsOptions,
+    interrupted: threading.Event,
+    levels: int,
+) -> tuple[Splats, ...]:
+    """Return the finest level, and the further ones until there are so many, one has one splat, or Ctrl-C."""
+    made = [finest]
+    while len(made) < levels and made[-1].n > 1 and not interrupted.is_set():
+        with source.blamed(steps, f"merging splats for level {len(made)}"):
+            splats = merge_splats(made[-1], count=-(-made[-1].n // LESS))
+        if options.epochs:
+            splats = fitted_splats(steps, source, splats, views, options, interrupted)
+        made.append(splats)
+    return tuple(made)
 
 
 def fitted_splats(
@@ -222,7 +328,22 @@ def fitted_splats(
         return state.splats()
 
 
-def _require(target: Target, min_psnr: float | None, written_as: dict[str, Any]) -> catalog.Format:
+def _require(
+    target: Target,
+    folder: FolderTarget | None,
+    sources: Sequence[Source],
+    options: SplatsOptions,
+    min_psnr: float | None,
+    written_as: dict[str, Any],
+) -> catalog.AnyFormat:
+    """Return what is written. Call it before doing any work. Raises NerfbakeError."""
+    if folder is not None:
+        Budget(min_psnr=min_psnr).require_folder(folder, "SplatLevels", [source.path for source in sources])
+        kind = catalog.folder_to_write("SplatLevels")
+        kind.require_options(written_as)
+        return kind
+    if options.levels is not None:
+        raise UsageError("`levels` has no effect on a single file; allowed: with lod-meta.json in a folder as OUT")
     target.require_read_back("splats")
     form = target.require("Splats", **written_as)
     Budget(min_psnr=min_psnr).require(target)
@@ -232,16 +353,23 @@ def _require(target: Target, min_psnr: float | None, written_as: dict[str, Any])
 def _measured(
     steps: Steps,
     target: Target,
-    path: str,
+    written: io.PendingFile,
     held_out: Views,
-    splats: Splats,
+    scene: Splats | SplatLevels,
     up: Up | None,
     written_as: dict[str, Any],
-) -> tuple[tuple[ViewError, ...], str]:
-    """Read the file that was written, and measure it on the held-out views.
+) -> tuple[list[tuple[ViewError, ...]], str]:
+    """Read what was written, and measure each of its levels on the held-out views.
 
     up: the axis of the world of the views by which the splats were turned. written_as: options of the format.
     """
     with Source(target.path).blamed(steps, f"measuring on {len(held_out.pictures)} pictures"):
-        loaded: Splats = read_back(target, path, splats, **written_as)
-        return measure_views(loaded if up is None else loaded.without_up(up), held_out), str(loaded)
+        if isinstance(scene, Splats):
+            found = read_back(target, written.path, scene, **written_as)
+            levels: tuple[Splats, ...] = (found,)
+        else:
+            with read_back_as(target.path):
+                found = io.load_folder(written.path, SplatLevels)
+            levels = found.levels
+        as_viewed = (level if up is None else level.without_up(up) for level in levels)
+        return [measure_views(level, held_out) for level in as_viewed], str(found)

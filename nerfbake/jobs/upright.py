@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from nerfbake import catalog
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import Source
 from nerfbake.jobs.steps import Steps
@@ -32,24 +31,27 @@ def require_up(in_up: str | None) -> Up | None:
     return found
 
 
-def turned_up(steps: Steps, source: Source, splats: Splats, in_up: Up | None) -> Splats:
+def turned_up(steps: Steps, source: Source, in_up: Up | None, *levels: Splats) -> tuple[Splats, ...]:
     """Return splats turned so that this axis of their world becomes -y; None: as they are, and print what that means.
 
-    The formats store -y as their own up axis.
+    levels: splats by level of detail, at least one. The formats store -y as their own up axis.
     """
     if in_up is not None:
-        return splats.with_up(in_up)
-    if splats.up not in (None, "-y"):
-        steps.say(f"{source.name}: {splats.up} points up, as the file says; only `in_up={splats.up}` turns the splats")
-    return splats
+        return tuple(splats.with_up(in_up) for splats in levels)
+    if (up := levels[0].up) not in (None, "-y"):
+        steps.say(f"{source.name}: {up} points up, as the file says; only `in_up={up}` turns the splats")
+    return levels
 
 
-def field_turned_up(form: catalog.Format, splats: Splats, in_up: Up | None) -> tuple[Splats, Up | None]:
-    """Return splats of a field as they stand upright in this format, and the axis by which they were turned.
+def fields_turned_up(
+    levels: tuple[Splats, ...], in_up: Up | None, *, keeps_up: bool
+) -> tuple[tuple[Splats, ...], Up | None]:
+    """Return splats of a field as they stand upright in a format, and the axis by which they were turned.
 
-    in_up: the axis of the field that points up. None: z, by which they are not turned if the format says that z is up.
+    levels: splats by level of detail. in_up: the axis of the field that points up. None: z, by which they are not
+    turned if the format says that z is up (keeps_up).
     """
-    if in_up is None and form.load_splat_module().KEEPS_UP:
-        return replace(splats, up="z"), None
+    if in_up is None and keeps_up:
+        return tuple(replace(splats, up="z") for splats in levels), None
     axis = in_up or "z"
-    return splats.with_up(axis), axis
+    return tuple(splats.with_up(axis) for splats in levels), axis

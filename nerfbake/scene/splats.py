@@ -224,6 +224,23 @@ class Splats(Scene):
             return self.flipped()
         return self.transformed(np.column_stack([np.array(_TO_Y_DOWN[up], np.float64).T, np.zeros(3)]))
 
+    def take(self, rows: npt.NDArray[Any] | slice) -> Splats:
+        """Return the splats of these rows: numbers, a mask, or a slice."""
+        arrays = (self.means, self.scales, self.quats, self.opacity, self.sh)
+        means, scales, quats, opacity, sh = (array[rows] for array in arrays)
+        return replace(self, means=means, scales=scales, quats=quats, opacity=opacity, sh=sh)
+
+    def reach(self, rows: slice = slice(None)) -> Floats:
+        """(rows, 3) float64: the standard deviation of each splat along the axes of the world."""
+        w, x, y, z = (self.quats[rows, k].astype(np.float64) for k in range(4))
+        a, b, c = (self.scales[rows, k].astype(np.float64) for k in range(3))
+        lines = (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+        return np.stack([np.sqrt((r * a) ** 2 + (s * b) ** 2 + (t * c) ** 2) for r, s, t in lines], axis=1)
+
     def relative_to(self, origin: Floats) -> Splats:
         """Return the same splats with another origin. Far from it, float32 rounds their means."""
         if np.array_equal(origin, self.origin):

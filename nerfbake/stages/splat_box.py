@@ -78,9 +78,7 @@ def cut_splats(splats: Splats, box: Points, *, opacity_min: float = OPACITY_MIN)
         allowed = "a box with centres of splats that are not thinner than `opacity_min`"
         raise InvalidScene(Problem("the box", f"is {corners}, without a splat", allowed))
     count, thick = int(np.count_nonzero(kept)), int(np.count_nonzero(opaque))
-    arrays = splats.means, splats.scales, splats.quats, splats.opacity, splats.sh
-    means, scales, quats, opacity, sh = (array[kept] for array in arrays)
-    cut = replace(splats, means=means, scales=scales, quats=quats, opacity=opacity, sh=sh)
+    cut = splats.take(kept)
     notes = []
     if count < thick:
         corners = ",".join(f"{value:.4g}" for value in box.ravel().tolist())

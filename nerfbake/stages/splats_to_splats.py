@@ -203,6 +203,4 @@ def _taken(splats: Splats, kept: Bits, found: str) -> Splats:
         raise InvalidScene(Problem("the splats", found, "some that are near others"))
     if kept.all():
         return splats
-    arrays = splats.means, splats.scales, splats.quats, splats.opacity, splats.sh
-    means, scales, quats, opacity, sh = (each[kept] for each in arrays)
-    return memory.kept(replace(splats, means=means, scales=scales, quats=quats, opacity=opacity, sh=sh))
+    return memory.kept(splats.take(kept))

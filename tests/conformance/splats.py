@@ -18,6 +18,7 @@ import numpy as np
 from nerfbake import load
 from nerfbake.formats.splat import ply as own
 from nerfbake.formats.splat.ply import SH0
+from nerfbake.scene.splat_levels import SplatLevels
 from nerfbake.scene.splats import Splats
 from tests.conformance.case import HOME, Case, Facts, Frozen, floats, form_named
 from tests.support.splats import ksplat
@@ -77,6 +78,15 @@ def cases() -> Iterator[Case]:
     }
     about = "Two Gaussian splats in pictures, as gaussforge writes them, and the folder of these pictures."
     yield Case("splat/pictures", about, files, facts, answer, stored=1e-6)
+    quats = [[LEFT, HALF, HALF, HALF], [HALF, LEFT, HALF, HALF]]
+    fine, coarse = {**BYTES, "sh": sh, "quats": quats}, {**BYTES, "sh": [[DC8[0]]], "quats": quats[:1]}
+    coarse |= {name: BYTES[name][:1] for name in ("means", "scales", "opacity")}
+    kind, home = form_named("sog_levels"), HOME / "splat/levels"
+    members = {str(path.relative_to(home)): path.read_bytes() for path in home.rglob("*.*")}
+    scene_of_levels = SplatLevels((scene_of(fine), scene_of(coarse)))
+    fine |= {name: fine[name][::-1] for name in NAMES}  # they are sorted by place
+    files = {"splat/levels": Frozen(kind, scene_of_levels, data=members or None)}
+    yield Case("splat/levels", "Two levels of splats.", files, {"levels": [fine, coarse]}, answer_levels, stored=1e-6)
 
 
 def scene_of(facts: Facts) -> Splats:
@@ -95,5 +105,12 @@ def foreign(name: str, facts: Facts) -> bytes:
 
 
 def answer(path: Path, _: Facts) -> Facts:
-    found = load(path, Splats)
+    return facts_of(load(path, Splats))
+
+
+def answer_levels(path: Path, _: Facts) -> Facts:
+    return {"levels": list(map(facts_of, load(path, SplatLevels).levels))}
+
+
+def facts_of(found: Splats) -> Facts:
     return {**{name: floats(getattr(found, name)) for name in NAMES}, "antialiased": found.antialiased}

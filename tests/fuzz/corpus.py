@@ -124,6 +124,7 @@ def folders_of(name: str) -> tuple[Files, ...]:
         "snerg": _snergs,
         "nerfstudio": _runs,
         "sog_folder": _sogs,
+        "sog_levels": lambda: (sog_levels(), sog_levels(environment="env/meta.json")),
         STATE: _states,
     }
     return tuple(makers[name]() if name in makers else _captures(name))

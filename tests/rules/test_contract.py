@@ -100,7 +100,7 @@ def test_a_folder_recognises_and_decodes_files(kind: catalog.FolderKind) -> None
 def test_only_folders_that_are_written_have_encode() -> None:
     for kind in catalog.FOLDERS:
         assert hasattr(kind.load_module(), "encode") == kind.writable, kind.name
-    known = "Stage1, BakedAtlas, Cameras, LatticeField, Splats"
+    known = "Stage1, BakedAtlas, Cameras, LatticeField, Splats, SplatLevels"
     with pytest.raises(UsageError, match=f"a Volume cannot be written as a folder; allowed: {known}"):
         catalog.folder_to_write("Volume")
 

@@ -337,6 +337,7 @@ FILES: dict[str, dict[str, Maker]] = {
         "sections.ksplat": _bytes(lambda: ksplat([splats(_MANY // 2, degree=degree) for degree in (0, 1)], 1)),
     },
     "splat": {"many.splat": _bytes(lambda: splat_rows(splats(_MANY, degree=0)))},
+    "sog_levels": {"sog_levels": _folder(_levels)},
     "stage1": {"stage1": _folder(_stage1)},
     "mobilenerf": {"mobilenerf": _folder(_mobilenerf)},
     "atlas": {"atlas": _folder(_atlas)},

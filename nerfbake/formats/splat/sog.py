@@ -13,7 +13,7 @@ Version 1 has no `version`. It has a minimum and a maximum in place of each code
 Splats are antialiased if meta.json has "antialias": true (older) or "model": "antialiased".
 
 A scene of several levels is a lod-meta.json with a tree; its leaves name ranges of rows in folders with a meta.json
-each, by level. Level 0 is the finest.
+each, by level. Level 0 is the finest. sog_levels.py draws it.
 
 sog_writer.py writes version 2.
 
@@ -33,6 +33,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.splat.ply import exp_or_nan, sigmoid_or_nan, with_largest
+from nerfbake.formats.splat.sog_writer import MOST_DEGREE as MOST_DEGREE
 from nerfbake.formats.splat.sog_writer import archive_of
 from nerfbake.formats.splat.sog_writer import in_order as in_order
 from nerfbake.formats.wire.json import key_place, kind_of, parse_object, shorten, table, whole
@@ -45,7 +46,6 @@ from nerfbake.scene.splats import SplatRows, Splats, join_splats, splats_in_bloc
 
 Bytes = npt.NDArray[np.uint8]
 META, LOD = "meta.json", "lod-meta.json"
-MOST_DEGREE = 3
 KEEPS_ORIGIN = False
 KEEPS_UP = False
 _WIDTHS = (0, 3, 8, 15)  # pixels of an entry of the palette, by degree
@@ -55,6 +55,7 @@ _MOST = 1 << 32  # splats
 _MODELS = (None, "default", "antialiased", "2dgs")
 _FIRST_TAG = 252
 _MOST_PER_BYTE = 256  # splats
+_LEVELS = 32
 _SPARE = 1 << 14  # pixels of a picture beyond four for each splat
 _NAME = re.compile(r"[^/\\:\0]{1,200}")
 
@@ -102,8 +103,28 @@ def splats_in(files: Mapping[str, memoryview]) -> Splats:
 def _finest(files: Mapping[str, memoryview]) -> Splats:
     """Return the splats that the leaves of the tree have in their finest levels."""
     root = parse_object(files[LOD], LOD)
+    found = _rows_of(files, root, [levels[min(levels)] for levels in _leaves(root)])
+    return replace(found, notes=(*found.notes, f"of the levels of {LOD}, only the finest is read"))
+
+
+def levels_in(files: Mapping[str, memoryview]) -> list[Splats]:
+    """Return the splats of each level, the finest first. Raises InvalidFile, InvalidScene, MemoryLimit."""
+    if LOD not in files:
+        raise InvalidFile(Problem(LOD, "is missing", "a folder with it"))
+    root = parse_object(files[LOD], LOD)
+    leaves = _leaves(root)
+    known = sorted({level for leaf in leaves for level in leaf})
+    if len(known) > _LEVELS:
+        raise InvalidFile(Problem(LOD, f"has {len(known)} levels", f"at most {_LEVELS}"))
+    if not known:
+        raise InvalidScene(Problem("the splats", "have no rows", "at least one splat"))
+    return [_rows_of(files, root, [leaf[level] for leaf in leaves if level in leaf]) for level in known]
+
+
+def _leaves(root: dict[str, Any]) -> list[dict[int, tuple[str, int, int]]]:
+    """Return for each leaf of the tree its levels: the path of a meta.json, its first row, and the number of rows."""
     names = _list(root, "filenames", LOD)
-    places: dict[str, list[tuple[int, int]]] = {}
+    leaves = []
     waiting = [root.get("tree")]
     while waiting:
         node = waiting.pop()
@@ -114,19 +135,29 @@ def _finest(files: Mapping[str, memoryview]) -> Splats:
         if not isinstance(levels, dict) or not all(re.fullmatch("[0-9]{1,3}", level) for level in levels):
             raise InvalidFile(Problem(f"{LOD}: lods", "are no levels", "an object with whole numbers as names"))
         if levels:
-            finest = levels[min(levels, key=int)]
-            if not isinstance(finest, dict):
-                raise InvalidFile(Problem(f"{LOD}: lods", f"have {kind_of(finest)}", "objects"))
-            file = whole(finest, "file", "lods", high=len(names) - 1)
-            start, count = (whole(finest, key, "lods", high=_MOST) for key in ("offset", "count"))
-            places.setdefault(_path(names[file], "filenames"), []).append((start, count))
-    notes = [f"of the levels of {LOD}, only the finest is read"]
+            leaves.append({int(level): _range(each, names) for level, each in levels.items()})
+    return leaves
+
+
+def _range(level: Any, names: list[Any]) -> tuple[str, int, int]:
+    if not isinstance(level, dict):
+        raise InvalidFile(Problem(f"{LOD}: lods", f"have {kind_of(level)}", "objects"))
+    file = whole(level, "file", "lods", high=len(names) - 1)
+    start, count = (whole(level, key, "lods", high=_MOST) for key in ("offset", "count"))
+    return _path(names[file], "filenames"), start, count
+
+
+def _rows_of(files: Mapping[str, memoryview], root: dict[str, Any], ranges: Iterable[tuple[str, int, int]]) -> Splats:
+    """Return the splats of these ranges of files, and those of the environment."""
+    places: dict[str, list[tuple[int, int]]] = {}
+    for path, start, count in ranges:
+        places.setdefault(path, []).append((start, count))
     if root.get("environment") is not None:
         places.setdefault(_path(root["environment"], "environment"), []).append((0, -1))
     parts = []
-    for path, ranges in places.items():
+    for path, rows in places.items():
         part = _scene(files, path)
-        for start, count in ranges:
+        for start, count in rows:
             end = part.n + part.dropped if count < 0 else start + count
             if end > part.n + part.dropped:
                 found = f"has rows up to {end:,} of {part.n:,} in {path}"
@@ -134,17 +165,11 @@ def _finest(files: Mapping[str, memoryview]) -> Splats:
             if part.dropped:
                 raise InvalidScene(Problem(path, "has rows that cannot be drawn", "finite numbers"))
             if end > start:
-                parts.append(_rows(part, start, end))
+                parts.append(part.take(slice(start, end)))
     if not parts:
         raise InvalidScene(Problem("the splats", "have no rows", "at least one splat"))
-    memory.hold("the finest level", splats_size(sum(part.n for part in parts), max(part.B for part in parts)))
-    whole_scene = join_splats(parts)
-    return replace(whole_scene, notes=(*whole_scene.notes, *notes))
-
-
-def _rows(splats: Splats, start: int, end: int) -> Splats:
-    names = ("means", "scales", "quats", "opacity", "sh")
-    return replace(splats, **{name: getattr(splats, name)[start:end] for name in names})
+    memory.hold("the splats of a level", splats_size(sum(part.n for part in parts), max(part.B for part in parts)))
+    return join_splats(parts)
 
 
 def _path(value: Any, place: str) -> str:

@@ -1,4 +1,4 @@
-"""Read and write the folder of a .sog: meta.json with its pictures. Also read lod-meta.json with its folders.
+"""Read and write the folder of a .sog: meta.json with its pictures. Also read lod-meta.json, the finest level.
 
 formats/splat/sog.py describes the contents.
 """

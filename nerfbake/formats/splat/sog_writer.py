@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from dataclasses import replace
 from math import ceil, isqrt
 from typing import Any
 
@@ -17,14 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake import memory
+from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats.wire.picture import encode_lossless_webp
-from nerfbake.kernels.arrays import Floats
+from nerfbake.kernels.arrays import Floats, Ints
 from nerfbake.kernels.cluster.codebook import fit_codebook, fit_palette, nearest_codes
 from nerfbake.kernels.maths.elementary import log
 from nerfbake.scene.splats import Splats
 
 Bytes = npt.NDArray[np.uint8]
 META = "meta.json"
+MOST_DEGREE = 3
 _PALETTE = 1 << 16  # entries, because labels have 16 bits
 _A_ROW = 64  # entries of the palette in a row of its picture
 _FEW = 1 << 10  # splats for an entry of a small palette: PlayCanvas' rule
@@ -37,17 +38,19 @@ _DATE = (1980, 1, 1, 0, 0, 0)
 
 def in_order(scene: Splats) -> Splats:
     """Return the splats in the order in which they are written: along a Morton curve through their box."""
-    low, high = scene.means.min(axis=0).astype(np.float64), scene.means.max(axis=0).astype(np.float64)
-    share = (scene.means - low) / np.where(high > low, high - low, 1.0)
+    return scene.take(morton_order(scene.means))
+
+
+def morton_order(means: npt.NDArray[np.float32]) -> Ints:
+    """Return the order of points (n, 3) along a Morton curve through their box."""
+    low, high = means.min(axis=0).astype(np.float64), means.max(axis=0).astype(np.float64)
+    share = (means - low) / np.where(high > low, high - low, 1.0)
     cells = np.minimum(share * (1 << _BITS), (1 << _BITS) - 1).astype(np.int64)
-    code = np.zeros(scene.n, np.int64)
+    code = np.zeros(len(means), np.int64)
     for bit in range(_BITS):
         for axis in range(3):
             code |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
-    order = np.argsort(code, kind="stable")
-    arrays = (scene.means, scene.scales, scene.quats, scene.opacity, scene.sh)
-    means, scales, quats, opacity, sh = (array[order] for array in arrays)
-    return replace(scene, means=means, scales=scales, quats=quats, opacity=opacity, sh=sh)
+    return np.argsort(code, kind="stable")
 
 
 def archive_of(scene: Splats) -> bytes:
@@ -59,11 +62,16 @@ def archive_of(scene: Splats) -> bytes:
     return file.getvalue()
 
 
-def files_of(scene: Splats) -> dict[str, bytes]:
-    """Return the files of the archive, meta.json first. Raises InvalidScene, MemoryLimit."""
+def files_of(scene: Splats, *, ordered: bool = False) -> dict[str, bytes]:
+    """Return the files of the archive, meta.json first. ordered: the splats keep their order.
+
+    Raises InvalidScene, MemoryLimit.
+    """
     scene.require_usable()
+    if scene.degree > MOST_DEGREE:
+        raise InvalidScene(Problem("sh", f"has degree {scene.degree}", f"0 to {MOST_DEGREE} in a .sog"))
     with memory.lent("the .sog", _BYTES * scene.n):
-        return _files(in_order(scene))
+        return _files(scene if ordered else in_order(scene))
 
 
 def _files(scene: Splats) -> dict[str, bytes]:

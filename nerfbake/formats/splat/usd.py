@@ -99,18 +99,9 @@ def _extent(scene: Splats) -> npt.NDArray[np.float32]:
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for start in range(0, scene.n, _ROWS):
         part = slice(start, start + _ROWS)
-        w, x, y, z = (scene.quats[part, k].astype(np.float64) for k in range(4))
-        rows = (
-            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        )
-        a, b, c = (scene.scales[part, k].astype(np.float64) for k in range(3))
-        for axis, (r, s, t) in enumerate(rows):
-            reach = _SIGMAS * np.sqrt((r * a) ** 2 + (s * b) ** 2 + (t * c) ** 2)
-            centre = scene.means[part, axis]
-            low[axis] = min(low[axis], float((centre - reach).min()))
-            high[axis] = max(high[axis], float((centre + reach).max()))
+        reach = _SIGMAS * scene.reach(part)
+        low = np.minimum(low, (scene.means[part] - reach).min(axis=0))
+        high = np.maximum(high, (scene.means[part] + reach).max(axis=0))
     return np.stack([low, high]).astype(np.float32)
 
 

@@ -213,4 +213,4 @@ def test_a_lying_sog_is_one_line(lie: str, tmp_path: Path, capsys: pytest.Captur
 def test_repeated_ranges_are_counted_before_they_are_copied(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     leaf = {"lods": {"0": reference(0, 0, 3000)}}
     files = sog_levels({"a": splats(3000, degree=0)}, {"children": [leaf] * 30_000})
-    assert "the finest level" in refused_as_it_is(tmp_path / "bad.sog", sog_zip(files), capsys)
+    assert "the splats of a level need" in refused_as_it_is(tmp_path / "bad.sog", sog_zip(files), capsys)
