@@ -37,7 +37,7 @@ from tests.support.kplanes import kplanes, kplanes_file
 from tests.support.lattices import svox2, svox2_file
 from tests.support.merf import merf, merf_folder
 from tests.support.meshes import ODD_OBJ, cube, odd_plys, polygon_ply, sparse_glb, square
-from tests.support.meshopt_streams import CUBE
+from tests.support.meshopt_streams import CUBE, CUBE_KHR
 from tests.support.n3trees import archive, held_out, quantised, svox
 from tests.support.nerfstudio import nerfacto, nerfstudio_file, ngp, run_files
 from tests.support.octrees import SPELLINGS, small_octree, written
@@ -295,6 +295,7 @@ def _meshes(name: str) -> Iterator[bytes]:
         yield _encoded(name, Meshes((painted,), (flat,)), quantised=True, lit=True, image="webp")
         yield sparse_glb()
         yield base64.b64decode(CUBE)
+        yield base64.b64decode(CUBE_KHR)
     yield _encoded(name, Meshes((plain,), origin=_MAP))
     if name == "ply":
         yield polygon_ply([(0, 1, 2), (0, 2, 3, 1)])

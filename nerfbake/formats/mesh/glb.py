@@ -46,7 +46,7 @@ _GLOSSY = "KHR_materials_pbrSpecularGlossiness"  # holds the base colour under n
 _MOVED = "KHR_texture_transform"
 _DRACO = "KHR_draco_mesh_compression"
 _INSTANCES = "EXT_mesh_gpu_instancing"
-_KNOWN = ("KHR_mesh_quantization", _MOVED, "EXT_texture_webp", MESHOPT)
+_KNOWN = ("KHR_mesh_quantization", _MOVED, "EXT_texture_webp", *MESHOPT)
 # Extensions that do not affect triangles and their colours: lights, animation, audio and metadata.
 _BESIDE = {"KHR_lights_punctual", "EXT_lights_image_based", "EXT_lights_ies", "KHR_animation_pointer", "KHR_audio"}
 _BESIDE |= {"KHR_xmp", "KHR_xmp_json_ld", "MSFT_lod"}

@@ -1,7 +1,7 @@
 """The container of .glb files: chunks, and the parts that the JSON refers to, each checked when it is accessed.
 
 Accessors may be sparse, and are zeros without a bufferView. Buffers and pictures may be data URIs. BufferViews of
-EXT_meshopt_compression are decompressed.
+KHR_meshopt_compression and EXT_meshopt_compression are decompressed.
 
 Source: glTF 2.0, sections 3.6 and 4.4.
 """
@@ -21,7 +21,7 @@ from nerfbake.formats.wire.json import kind_of, parse_object
 from nerfbake.formats.wire.meshopt import FILTERS, decompress
 from nerfbake.kernels.arrays import Floats
 
-MESHOPT = "EXT_meshopt_compression"
+MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 _VERSION = "2.0"
 _COPIES = 44  # bytes of memory for each number of an accessor, while it is converted to mesh data
 _PADDING = 3  # bytes at most behind the JSON
@@ -122,12 +122,13 @@ class Document:
     def view(self, index: Any) -> memoryview:
         """Return the bytes of a bufferView, decompressed."""
         place, entry = f"bufferViews[{index}]", self.item("bufferViews", index)
-        packed = extension_of(entry, MESHOPT, place)
-        return self._part(entry, place) if packed is None else self._unpacked_view(index, packed, place)
+        for name in MESHOPT:
+            if (packed := extension_of(entry, name, place)) is not None:
+                return self._unpacked_view(index, packed, f"{place}.{name}")
+        return self._part(entry, place)
 
     def _unpacked_view(self, index: int, packed: dict[str, Any], place: str) -> memoryview:
         if index not in self._unpacked:
-            place = f"{place}.{MESHOPT}"
             self._unpacked[index] = decompress(
                 self._part(packed, place),
                 count=whole(packed, "count", place),

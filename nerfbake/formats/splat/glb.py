@@ -50,7 +50,7 @@ KEEPS_UP = False
 _HEAD = 20  # bytes before the JSON chunk
 # The second one is the name in drafts.
 _PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
-_KNOWN = (EXTENSION, "KHR_mesh_quantization", MESHOPT, *_PACKED)
+_KNOWN = (EXTENSION, "KHR_mesh_quantization", *MESHOPT, *_PACKED)
 _OF_MESHES = ("KHR_materials_", "KHR_texture_", "EXT_texture_")  # extensions of parts that are left out
 _POINTS = 0
 _FLOAT, _BYTE, _VERTICES = 5126, 5121, 34962

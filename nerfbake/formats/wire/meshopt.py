@@ -1,6 +1,6 @@
-"""Decompress buffer views of EXT_meshopt_compression.
+"""Decompress buffer views of KHR_meshopt_compression and EXT_meshopt_compression, which has less.
 
-Source: EXT_meshopt_compression, with the bit streams in appendix A and the filters in appendix B.
+Source: both extensions, with the bit streams in appendix A and the filters in appendix B.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from nerfbake.errors import InvalidFile, Problem
 from nerfbake.kernels.arrays import Floats
 
 MODES = ("ATTRIBUTES", "TRIANGLES", "INDICES")
-FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL")
-_GROWTH = 64  # bytes of attributes for each of the stream: a delta of 0 takes a quarter of a bit
+FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
+_VERSION_1 = 0xA1  # first byte of attributes
+# Bytes of attributes for each of the stream: a delta of 0 takes a quarter of a bit, or 256 of them two bits.
+_GROWTH, _GROWTH_1 = 64, 1024
 _WIDEST = 256  # bytes of an element
 
 
@@ -26,7 +28,8 @@ def decompress(data: memoryview, *, count: int, stride: int, mode: str, filter_:
     mode and filter_ as in the extension. The result is counted until the surrounding memory.scope() ends.
     """
     _require_layout(count, stride, mode, filter_, place)
-    most = _GROWTH * len(data) if mode == MODES[0] else 3 * stride * len(data)
+    growth = _GROWTH_1 if bytes(data[:1]) == bytes([_VERSION_1]) else _GROWTH
+    most = growth * len(data) if mode == MODES[0] else 3 * stride * len(data)
     if count * stride > most:
         found = f"declares {count * stride:,} bytes from {len(data):,}"
         raise InvalidFile(Problem(place, found, f"{most:,} at most"))
@@ -49,7 +52,7 @@ def decompress(data: memoryview, *, count: int, stride: int, mode: str, filter_:
 
 
 def _damaged(place: str, mode: str) -> InvalidFile:
-    return InvalidFile(Problem(place, f"has damaged {mode.lower()}", "a whole stream of EXT_meshopt_compression"))
+    return InvalidFile(Problem(place, f"has damaged {mode.lower()}", "a whole stream of meshoptimizer"))
 
 
 def _require_layout(count: int, stride: int, mode: str, filter_: str, place: str) -> None:
@@ -57,7 +60,7 @@ def _require_layout(count: int, stride: int, mode: str, filter_: str, place: str
     if mode not in MODES or filter_ not in FILTERS:
         raise InvalidFile(Problem(place, f"has {mode[:20]} with {filter_[:20]}", f"{', '.join((*MODES, *FILTERS))}"))
     if mode == MODES[0]:
-        strides = {"OCTAHEDRAL": (4, 8), "QUATERNION": (8,)}.get(filter_, range(4, _WIDEST + 1, 4))
+        strides = {"OCTAHEDRAL": (4, 8), "QUATERNION": (8,), "COLOR": (4, 8)}.get(filter_, range(4, _WIDEST + 1, 4))
         good = stride in strides
     else:
         good = stride in (2, 4) and filter_ == FILTERS[0] and (mode != MODES[1] or count % 3 == 0)
@@ -112,10 +115,26 @@ def _exponential(rows: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
         return np.asarray(wide, "<f4")
 
 
+def _colour(rows: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
+    """Red, green, blue and alpha, from luma, two differences, and alpha.
+
+    The highest bit of alpha tells how many bits the others have; alpha itself has those below it.
+    """
+    wide = rows.shape[1] == 8
+    stored, signed = (rows.view(kind).astype(np.int64) for kind in (("<u2", "<i2") if wide else ("u1", "i1")))
+    luma, orange, green, alpha = stored[:, 0], signed[:, 1], signed[:, 2], stored[:, 3]
+    bits = np.searchsorted(2 ** np.arange(16), alpha, side="right")
+    most, full = np.maximum((1 << bits) - 1, 1), 65535 if wide else 255
+    alpha = alpha & most >> 1
+    parts = luma + orange - green, luma + green, luma - orange - green, alpha << 1 | alpha & 1
+    out = np.stack([np.floor(part * (full / most) + 0.5) for part in parts], axis=1)
+    return np.clip(out, 0, full).astype("<u2" if wide else "u1")
+
+
 def _rounded(values: Floats, most: int) -> Floats:
     """To the nearest integer, halves away from 0."""
     whole = np.where(values < 0, -np.floor(0.5 - values), np.floor(values + 0.5))
     return np.asarray(np.clip(whole, -most, most))
 
 
-_FILTERS = dict(zip(FILTERS, (_as_they_are, _octahedral, _quaternion, _exponential), strict=True))
+_FILTERS = dict(zip(FILTERS, (_as_they_are, _octahedral, _quaternion, _exponential, _colour), strict=True))

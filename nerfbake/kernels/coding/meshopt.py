@@ -1,14 +1,18 @@
-"""Decode the three bit streams of meshoptimizer, version 0 of attributes.
+"""Decode the three bit streams of meshoptimizer, with versions 0 and 1 of attributes.
 
     attributes  a0 | blocks of up to 256 elements | padding | first baseline, `stride` bytes
                 a block: for each byte of an element 2 bits for each 16 elements, then their deltas: none, in 2 or 4
                 bits, or in bytes; the largest number of 2 or 4 bits stands for a byte behind them
+                a1 | the same | padding | first baseline | a mode for each four bytes of an element
+                a block: before it 2 bits for each byte of an element, by which its deltas have 0, 1, 2 or 4 bits, or
+                1, 2, 4 or 8, or are zeros, or bytes; by the mode they are differences of bytes or of pairs of bytes,
+                or bits of four bytes that change, rotated by the high half of the mode
     triangles   e1 | a code for each triangle | numbers | 16 bytes of codes
     indices     d1 or d0 | numbers | 4 bytes
 
 Each function returns False if the stream is damaged, and reads nothing outside it.
 
-Source: EXT_meshopt_compression, appendix A.
+Source: EXT_meshopt_compression and KHR_meshopt_compression, appendix A.
 """
 
 from __future__ import annotations
@@ -28,49 +32,115 @@ _FIFO = 16  # entries
 
 @compiled()
 def decode_attributes(data: Bytes, out: Bytes) -> bool:
-    """Fill out (count, stride) with the elements of a stream."""
+    """Fill out (count, stride) with the elements of a stream. stride: a multiple of 4."""
     count, stride = out.shape
-    end = len(data) - max(stride, 32)
-    if end < 1 or data[0] != 0xA0:
+    version = np.int64(data[0]) - 0xA0 if len(data) else -1
+    if version != 0 and version != 1:
         return False
+    channels = stride // 4 if version == 1 else 0
+    tail = stride + channels
+    end = len(data) - max(tail, 32 if version == 0 else 24)
+    if end < 1:
+        return False
+    first = len(data) - tail
+    for channel in range(channels):
+        mode = np.int64(data[first + stride + channel])
+        if mode & 15 > 2 or (mode & 15 < 2 and mode > 1):
+            return False
     at, most = 1, min(8192 // stride // _GROUP * _GROUP, 256)
-    before = data[len(data) - stride :].copy()
+    before = data[first : first + stride].copy()
+    deltas = np.zeros((stride, most), np.uint8)
     for start in range(0, count, most):
         size = min(most, count - start)
-        groups = (size + _GROUP - 1) // _GROUP
+        controls = at
+        at += channels
+        if at > end:
+            return False
         for k in range(stride):
-            heads = at
-            at += (groups + 3) // 4
-            if at > end:
+            control = -1 if version == 0 else np.int64(data[controls + k // 4]) >> 2 * (k % 4) & 3
+            at = _fill_deltas(data, at, end, control, size, deltas[k])
+            if at < 0:
                 return False
-            value: Any = np.int64(before[k])  # int() of a byte is unsigned, and with a signed number a float
-            for group in range(groups):
-                mode = np.int64(data[heads + group // 4]) >> 2 * (group % 4) & 3
-                bits = (0, 2, 4, 8)[mode]
-                more = at + 2 * bits  # where bytes stand for numbers that do not fit
-                if more > end:
-                    return False
-                for i in range(_GROUP):
-                    delta: Any = 0
-                    if bits == 8:
-                        delta = np.int64(data[at + i])
-                    elif bits:
-                        place = i * bits
-                        largest = (1 << bits) - 1
-                        delta = np.int64(data[at + place // 8]) >> (8 - bits - place % 8) & largest
-                        if delta == largest:
-                            if more >= end:
-                                return False
-                            delta = np.int64(data[more])
-                            more += 1
-                    row = start + group * _GROUP + i
-                    if row < start + size:
-                        step = ~(delta >> 1) if delta & 1 else delta >> 1
-                        value = (value + step) & 0xFF
-                        out[row, k] = value
-                at = more
-            before[k] = value
+        for channel in range(stride // 4):
+            mode = np.int64(data[first + stride + channel]) if version == 1 else 0
+            _add_deltas(deltas, 4 * channel, mode, size, before, out[start : start + size])
     return bool(at == end)
+
+
+@compiled()
+def _fill_deltas(data: Bytes, at: int, end: int, control: int, size: int, deltas: Bytes) -> int:
+    """Write one byte of each delta of a block; return where they end, -1 if that is beyond the stream.
+
+    control: of version 1 which numbers of bits the groups have, 2 for zeros, 3 for bytes as they are; of version 0 -1.
+    """
+    if control == 2:
+        deltas[:size] = 0
+        return at
+    if control == 3:
+        if at + size > end:
+            return -1
+        deltas[:size] = data[at : at + size]
+        return at + size
+    groups = (size + _GROUP - 1) // _GROUP
+    heads = at
+    at += (groups + 3) // 4
+    if at > end:
+        return -1
+    for group in range(groups):
+        mode = np.int64(data[heads + group // 4]) >> 2 * (group % 4) & 3
+        bits = (0, 2, 4, 8)[mode] if control < 0 else (0, 1, 2, 4)[mode] if control == 0 else (1, 2, 4, 8)[mode]
+        more = at + 2 * bits  # where bytes stand for numbers that do not fit
+        if more > end:
+            return -1
+        for i in range(_GROUP):
+            delta: Any = 0  # int() of a byte is unsigned, and with a signed number a float
+            if bits == 8:
+                delta = np.int64(data[at + i])
+            elif bits:
+                place, largest = i * bits, (1 << bits) - 1
+                shift = (
+                    place % 8 if bits == 1 else 8 - bits - place % 8
+                )  # the lowest bit is first, but else the highest
+                delta = np.int64(data[at + place // 8]) >> shift & largest
+                if delta == largest:
+                    if more >= end:
+                        return -1
+                    delta = np.int64(data[more])
+                    more += 1
+            deltas[group * _GROUP + i] = delta
+        at = more
+    return at
+
+
+@compiled()
+def _add_deltas(deltas: Bytes, first: int, mode: int, size: int, before: Bytes, out: Bytes) -> None:
+    """Write four bytes of each element of a block. mode: bytes (0), pairs (1), or rotated bits (2).
+
+    before: the element before the block, which becomes the last one of it.
+    """
+    if mode & 15 == 2:
+        turn = mode >> 4
+        for i in range(size):
+            delta: Any = np.int64(0)
+            for k in range(4):
+                delta |= np.int64(deltas[first + k, i]) << 8 * k
+            delta = (delta >> turn | delta << 32 - turn) & 0xFFFFFFFF
+            for k in range(4):
+                before[first + k] ^= np.uint8(delta >> 8 * k & 0xFF)
+                out[i, first + k] = before[first + k]
+        return
+    wide = 1 + (mode & 1)
+    for i in range(size):
+        for k in range(first, first + 4, wide):
+            step: Any = np.int64(deltas[k, i])
+            value: Any = np.int64(before[k])
+            if wide == 2:
+                step |= np.int64(deltas[k + 1, i]) << 8
+                value |= np.int64(before[k + 1]) << 8
+            value += ~(step >> 1) if step & 1 else step >> 1
+            for j in range(wide):
+                before[k + j] = np.uint8(value >> 8 * j & 0xFF)
+                out[i, k + j] = before[k + j]
 
 
 @compiled()

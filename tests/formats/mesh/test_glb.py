@@ -25,7 +25,7 @@ from nerfbake.formats.mesh.glb_document import Document
 from nerfbake.memory import memory_limit
 from tests.support.hostile import refused_as_it_is
 from tests.support.meshes import TEXELS, assert_same_mesh, cube, painted, sphere, square
-from tests.support.meshopt_streams import CUBE
+from tests.support.meshopt_streams import CUBE, CUBE_KHR
 
 
 def test_glb_there_and_back(tmp_path: Path) -> None:
@@ -641,10 +641,13 @@ def test_a_material_is_two_textures_and_the_albedo_is_read_again() -> None:
     np.testing.assert_array_equal(again.texture, albedo)
 
 
-def test_a_file_of_gltfpack_is_read() -> None:
+@pytest.mark.parametrize(
+    ("packed", "name"), [(CUBE, b"EXT_meshopt_compression"), (CUBE_KHR, b"KHR_meshopt_compression")]
+)
+def test_a_file_of_gltfpack_is_read(packed: str, name: bytes) -> None:
     """Streams of meshoptimizer, in which nothing is left in the buffer that the views name, and quantised positions."""
-    data = base64.b64decode(CUBE)
-    assert b'"EXT_meshopt_compression"' in data
+    data = base64.b64decode(packed)
+    assert b'"%b"' % name in data
     assert b'"KHR_mesh_quantization"' in data
     (found,) = glb_format.decode(memoryview(data)).meshes
     corners, expected = (np.unique(np.round(mesh.positions, 3), axis=0) for mesh in (found, cube()))

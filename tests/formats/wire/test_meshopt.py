@@ -1,4 +1,4 @@
-"""The streams of EXT_meshopt_compression, judged by meshoptimizer's own decoder, and damaged ones."""
+"""The streams of EXT_ and KHR_meshopt_compression, judged by meshoptimizer's own decoder, and damaged ones."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def decoded(stream: Stream, data: bytes | None = None, **changes: Any) -> bytes:
 @each_stream
 def test_a_stream_is_decoded_as_meshoptimizer_does(stream: Stream) -> None:
     found, expected = decoded(stream), base64.b64decode(stream.expected)
-    if stream.filter in ("OCTAHEDRAL", "QUATERNION"):  # specified to a unit of the last place
-        kind = "i1" if stream.stride == 4 else "<i2"
+    if stream.filter in ("OCTAHEDRAL", "QUATERNION", "COLOR"):  # specified to a unit of the last place
+        kind = {4: "i1", 8: "<i2"}[stream.stride] if stream.filter != "COLOR" else {4: "u1", 8: "<u2"}[stream.stride]
         apart = np.frombuffer(found, kind).astype(int) - np.frombuffer(expected, kind)
         assert np.abs(apart).max() <= 1
     else:
@@ -74,3 +74,18 @@ def test_a_count_is_checked_before_memory_is_taken() -> None:
         decoded(STREAMS[0], count=1 << 30)
     with memory_limit(1000), pytest.raises(MemoryLimit):
         decoded(STREAMS[0])
+
+
+def test_a_version_1_stream_may_grow_more_but_not_without_limit() -> None:
+    stream = next(stream for stream in STREAMS if stream.name == "xor v1")
+    data = base64.b64decode(stream.data)
+    assert data[0] == 0xA1
+    with pytest.raises(
+        InvalidFile, match=rf"declares [0-9,]+ bytes from {len(data)}; allowed: {1024 * len(data):,} at"
+    ):
+        decoded(stream, count=1 << 30)
+    broken = bytearray(data)
+    for mode in (0x03, 0x11):  # an unknown mode, and a rotation of pairs
+        broken[-1] = mode
+        with pytest.raises(InvalidFile, match="has damaged attributes"):
+            decoded(stream, bytes(broken))
