@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from nerfbake.jobs.splat_choice import SplatChoice
     from nerfbake.jobs.splat_parts import SplatParts
     from nerfbake.jobs.splats import SplatsResult
+    from nerfbake.scene.placement import Move
 
+_FARTHEST = 1e15  # of a number of a step
 _MOST = 20_000_000
 
 
@@ -47,6 +49,31 @@ class SplatCount(ParamType[int]):
         return count
 
 
+class Moves(ParamType["tuple[Move, ...]"]):
+    """Steps such as r=0,90,0+s=2+t=1,0,0."""
+
+    name = "STEPS"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Move, ...]:
+        from nerfbake.scene.placement import Move
+
+        moves = []
+        for step in str(value).split("+"):
+            kind, _, text = step.partition("=")
+            try:
+                numbers = tuple(map(float, text.split(",")))
+            except ValueError:
+                numbers = ()
+            count = {"t": 3, "r": 3, "s": 1}.get(kind)
+            if len(numbers) != count or not all(abs(number) < _FARTHEST for number in numbers) or numbers == (0,):
+                allowed = "t=X,Y,Z, r=X,Y,Z in degrees and s=FACTOR, with + between them"
+                self.fail(f"{step[:40]!r} is no step; allowed: {allowed}", param, ctx)
+            if kind == "s" and numbers[0] < 0:
+                self.fail(f"{step[:40]!r} is a reflection; allowed: a factor above 0", param, ctx)
+            moves.append(Move(kind, numbers))  # type: ignore[arg-type]  # one of the three
+        return tuple(moves)
+
+
 @click.command()
 @click.argument("source", metavar="IN...", nargs=-1, required=True, type=Reads(allow_dash=True))
 @target_argument("Splats")
@@ -60,6 +87,14 @@ class SplatCount(ParamType[int]):
     type=click.IntRange(1, 8),
     help="Levels of detail of a folder, each with a quarter of the splats of the one before (OUT FOLDER/lod-meta.json)."
     "  [default: 4]",
+)
+@click.option(
+    "--place",
+    metavar="N STEPS",
+    type=(click.IntRange(min=1), Moves()),
+    multiple=True,
+    help="Where the splats of the Nth IN are put, by steps in their order: r=X,Y,Z (rotate, degrees, about x, then y, "
+    "then z), s=FACTOR (scale), t=X,Y,Z (translate), with + between them. Repeatable.",
 )
 @bundled(
     "parts",
@@ -106,6 +141,7 @@ def splats(
     target: Target,
     count: int | None,
     levels: int | None,
+    place: tuple[tuple[int, tuple[Move, ...]], ...],
     parts: SplatParts,
     epochs: int,
     splats: SplatChoice,
@@ -120,8 +156,9 @@ def splats(
     them to photographs (--views) or to pictures of IN. Splats are antialiased: viewers that know the flag show them
     right at every size. Prints the PSNR and SSIM of OUT on held-out photographs, or on pictures of IN from other sides.
 
-    If IN is splats, several of them are joined as they are, then cut, and neighbours are merged until --count are
-    left, which are fitted to the same pictures. If none are merged, they are fitted to photographs alone.
+    If IN is splats, several of them are joined where they are, or where --place puts them, then cut, and neighbours are
+    merged until --count are left, which are fitted to the same pictures. If none are merged, they are fitted to
+    photographs alone.
 
     Splats of a field stand upright in OUT: z of the field becomes the up axis of the format.
 
@@ -137,8 +174,10 @@ def splats(
       nerfbake splats scene.ply small.spz --count 100k --floaters
       nerfbake splats scene.ply web/lod-meta.json --levels 3
       nerfbake splats room.ply table.ply both.spz --box=-2,-2,-2,2,2,2
+      nerfbake splats room.ply chair.spz both.spz --place 2 s=0.5+r=0,90,0+t=1.5,0,2
     """
 
+    from nerfbake.jobs.splat_parts import Placement
     from nerfbake.jobs.splats import SplatsOptions, bake_splats
 
     if not epochs:
@@ -151,7 +190,14 @@ def splats(
     bake_splats(
         [Source(path) for path in source],
         target,
-        options=SplatsOptions(splats=count, levels=levels, parts=parts, epochs=epochs, seed=seed),
+        options=SplatsOptions(
+            splats=count,
+            levels=levels,
+            place=tuple(Placement(*each) for each in place),
+            parts=parts,
+            epochs=epochs,
+            seed=seed,
+        ),
         choice=splats,
         steps=console,
         report=report,

@@ -62,6 +62,7 @@ from .shipments import ShippedViews as ShippedViews
 from .shipments import ship_file as ship_file
 from .splat_choice import SplatChoice as SplatChoice
 from .splat_pages import view_splats as view_splats
+from .splat_parts import Placement as Placement
 from .splat_parts import SplatParts as SplatParts
 from .splats import SplatsOptions as SplatsOptions
 from .splats import SplatsResult as SplatsResult

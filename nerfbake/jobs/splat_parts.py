@@ -12,7 +12,8 @@ from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.steps import Steps
 from nerfbake.scene.origin import origin_text
-from nerfbake.scene.splats import Splats, join_splats, splats_size
+from nerfbake.scene.placement import Move, placement_matrix
+from nerfbake.scene.splats import MOVING, Splats, join_splats, splats_size
 from nerfbake.scene.views import world_box
 from nerfbake.stages.splat_box import cut_splats
 from nerfbake.stages.splats_to_splats import cut_floaters, cut_largest_part
@@ -56,10 +57,35 @@ def _tell(steps: Steps, source: Source, before: Splats, after: Splats, which: st
     steps.say(f"{source.name}: leaves out {before.n - after.n:,} of {before.n:,} splats {which}")
 
 
-def read_joined(steps: Steps, sources: Sequence[Source], first: Splats, choice: SplatChoice = SplatChoice()) -> Splats:
+@dataclass(frozen=True)
+class Placement:
+    """Where the splats of an input are put. number: of the input, from 1; moves: steps, the first is applied first."""
+
+    number: int
+    moves: tuple[Move, ...]
+
+
+def require_places(places: Sequence[Placement], inputs: int) -> None:
+    """Raise UsageError for a placement of no input, or a second one of an input. Call it before doing any work."""
+    numbers = [place.number for place in places]
+    for number in numbers:
+        if not 1 <= number <= inputs:
+            raise UsageError(f"`place` names input {number}; allowed: 1 to {inputs}")
+        if numbers.count(number) > 1:
+            raise UsageError(f"`place` names input {number} twice; allowed: all steps of an input together")
+
+
+def read_joined(
+    steps: Steps,
+    sources: Sequence[Source],
+    first: Splats,
+    choice: SplatChoice = SplatChoice(),
+    places: Sequence[Placement] = (),
+) -> Splats:
     """Return `first`, the splats of the first source, joined with those of all others, in one world.
 
-    choice: the axes of all files. Raises UsageError if stdin is read twice, NerfbakeError.
+    choice: the axes of all files. Splats with a placement are moved there from the world of their file. Raises
+    UsageError if stdin is read twice, NerfbakeError.
     """
     parts = [first]
     for source in sources[1:]:
@@ -71,6 +97,13 @@ def read_joined(steps: Steps, sources: Sequence[Source], first: Splats, choice: 
             steps.say(f"{source.name}: is {is_}antialiased, and OUT is {was}antialiased, as {sources[0].name}")
         parts.append(found)
     parts = [choice.read(steps, source, part) for source, part in zip(sources, parts, strict=True)]
+    for place in places:
+        number = place.number - 1
+        with io.blame(sources[number].name):
+            memory.require(
+                "moving the splats", MOVING * parts[number].n + splats_size(parts[number].n, parts[number].B)
+            )
+            parts[number] = parts[number].transformed(placement_matrix(place.moves))
     if len(parts) == 1:
         return parts[0]
     with io.blame(sources[0].name):

@@ -36,7 +36,7 @@ from nerfbake.jobs.photographs import (
 )
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.splat_choice import SplatChoice
-from nerfbake.jobs.splat_parts import SplatParts, read_joined, require_sources
+from nerfbake.jobs.splat_parts import Placement, SplatParts, read_joined, require_places, require_sources
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.upright import fields_turned_up, require_up, turned_up
 from nerfbake.jobs.views import picture_views
@@ -98,6 +98,7 @@ class SplatsOptions:
 
     splats  the largest number of splats; None: 150,000 of a field, all of splats
     levels  of OUT lod-meta.json: levels of detail, each with a quarter of the splats of the one before; None: 4
+    place   where splats of an input are put before they are joined, cut and merged; of splats only
     parts   which splats of the input are kept; of splats only
     epochs  passes over the pictures; 0: merged splats are not fitted
     seed    of the order of the pictures
@@ -105,6 +106,7 @@ class SplatsOptions:
 
     splats: int | None = None
     levels: int | None = None
+    place: tuple[Placement, ...] = ()
     parts: SplatParts = SplatParts()
     epochs: int = 4
     seed: int = 0
@@ -188,6 +190,7 @@ def bake_splats(
     folder = target.folder("SplatLevels")
     form = _require(target, folder, sources, options, min_psnr, written_as)
     require_sources(sources)
+    require_places(options.place, len(sources))
     keeps_up = folder is None and form.load_splat_module().KEEPS_UP
     levels = 0 if folder is None else options.levels or LEVELS
     made = _make(steps, sources, pictures, options, functions, up, choice, keeps_up=keeps_up, levels=levels)
@@ -252,6 +255,7 @@ def _make(
     reading.require()
     options.parts.require(reading)
     reading.require(taken={"in_axes": (Splats,)}, in_axes=choice.in_axes)
+    reading.require(taken={"place": (Splats,)}, place=options.place or None)
     clock = Clock()
     if not isinstance(reading.scene, Splats):
         if not options.epochs:
@@ -271,7 +275,7 @@ def _make(
         with first.blamed(steps, "turning the splats"):
             made, up = fields_turned_up(made, up, keeps_up=keeps_up)
     else:
-        original = options.parts.of(steps, first, read_joined(steps, sources, reading.scene, choice))
+        original = options.parts.of(steps, first, read_joined(steps, sources, reading.scene, choice, options.place))
         del reading
         count = options.splats or original.n
         merged = count < original.n

@@ -11,6 +11,7 @@ import pytest
 
 from nerfbake import Splats, build_octree, build_vdb, jobs, load, sample_n3tree, save
 from nerfbake.cli.main import run
+from nerfbake.scene.placement import Move, placement_matrix
 from tests.cli.telling import told
 from tests.support.outputs import read_output
 from tests.support.splats import splats as some_splats
@@ -129,6 +130,12 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
         ("splats a.npz a.ply --box=0,0,0,1,1,1", "--box has no effect on a PlenOctree; allowed: with splats"),
         ("splats a.npz a.ply --epochs 0", "--epochs 0 has no effect on a field; allowed: with splats"),
         ("splats a.npz a.ply --epochs 0 --seed 1", "--seed has no effect with --epochs 0"),
+        ("splats a.npz a.ply --place 1 t=1,0,0", "--place has no effect on a PlenOctree; allowed: with splats"),
+        ("splats b.ply a.ply --place 2 t=1,0,0", "--place names input 2; allowed: 1 to 1"),
+        ("splats b.ply a.ply --place 1 t=1,0,0 --place 1 s=2", "--place names input 1 twice; allowed: all steps of an"),
+        ("splats b.ply a.ply --place 1 t=1,0", "'t=1,0' is no step; allowed: t=X,Y,Z, r=X,Y,Z in degrees"),
+        ("splats b.ply a.ply --place 1 s=nan", "'s=nan' is no step"),
+        ("splats b.ply a.ply --place 1 s=-1", "'s=-1' is a reflection; allowed: a factor above 0"),
         ("splats - - a.ply", "several inputs are stdin, which can be read once; allowed: '-' for one of them"),
     ],
 )
@@ -194,6 +201,20 @@ def test_several_files_are_joined_in_the_world_of_the_first(capsys: pytest.Captu
     assert run(["splats", "one.ply", "a.npz", "no.ply"]) == 1
     assert "a.npz: holds a PlenOctree" in capsys.readouterr().err
     assert not Path("no.ply").exists()
+
+
+def test_each_input_is_put_where_it_should_be(capsys: pytest.CaptureFixture[str]) -> None:
+    first = made("one.ply")
+    words = "splats one.ply one.ply both.ply --edge 16 --place 2 s=2+r=0,90,0+t=5,0,0 --place 1 t=0,0,1"
+    assert told(words.split(), capsys)["splats"] == 800
+    both = load("both.ply", Splats)
+    assert np.allclose(both.means[:400], first.means + np.array([0, 0, 1], np.float32), atol=1e-6)
+    x, y, z = first.means.T
+    assert np.allclose(both.means[400:], np.stack([2 * z + 5, 2 * y, -2 * x], axis=1), atol=1e-5)
+    assert np.allclose(both.scales[400:], 2 * first.scales, rtol=1e-5)
+    assert np.abs(both.sh[400:, 1:] - first.sh[:, 1:]).max() > 0.1  # colours turn, too
+    turned = first.with_degree(1).transformed(placement_matrix([Move("r", (0, 90, 0))]))
+    assert np.allclose(both.sh[400:], turned.sh, atol=1e-6)
 
 
 def test_floaters_and_parts_are_left_out(capsys: pytest.CaptureFixture[str]) -> None:
