@@ -59,7 +59,8 @@ def convert(source: Source, target: Target, console: Console, world: WorldOption
 
     A volume, or another scene as in `nerfbake svo`, becomes an octree, too. That of a volume is complete if `nerfbake
     vdb` wrote the volume with the grids `index` or `density,sh`. From any other fog volume the octree gets the density
-    only. With --grid all, each grid of a volume becomes a file: smoke.density.nvdb, ...
+    only. With --grid all, each grid of a volume becomes a file: smoke.density.nvdb, ... A stage of USD (.usda, .usdc)
+    gets its grids in a .vdb beside it.
 
     Cameras of any tool that `info` describes become nerfstudio's transforms.json, a stage of USD (--in-up: the axis of
     their world that points up), with --to colmap a folder with the text of a COLMAP model, and with --to 3dgs

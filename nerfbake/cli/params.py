@@ -19,7 +19,7 @@ from click.core import ParameterSource
 from click.types import FloatParamType
 
 from nerfbake import catalog, memory
-from nerfbake.cli.paths import Capture, JudgedOutput, Reads, Stage1AndFolder
+from nerfbake.cli.paths import Capture, JudgedOutput, MeshOutput, Reads, Stage1AndFolder
 from nerfbake.console import Console, Mode
 from nerfbake.errors import format_size
 from nerfbake.jobs.budgets import Budget
@@ -474,7 +474,7 @@ def octree_target_argument(*others: str) -> Callable[[Command], Command]:
     """
 
     def add(function: Command) -> Command:
-        @target_argument("SparseVoxelOctree", *others)
+        @target_argument("SparseVoxelOctree", *others, output=MeshOutput)
         @click.option(
             "--profile",
             type=click.Choice(["report", "bulk"]),

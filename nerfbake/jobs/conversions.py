@@ -53,7 +53,7 @@ def convert_file(
     Reads `source` and writes `target`, whose format selects what is written. For an octree's format, PlenOctrees,
     lattices and splats become octrees as in bake_octree(). A trained field becomes an octree or, with all of its
     scenery, a PlenOctree. For a format or a folder of splats, convert_splats() is called. A stage of USD takes cameras,
-    too: convert_cameras() writes them.
+    too, which convert_cameras() writes, and a volume, whose grids become a .vdb beside it.
 
     layout    of an octree: child slots for every node (full), or none on the last level (compact)
     no_child  child index that means 'no child' in an octree's file: 0 or -1
@@ -174,19 +174,36 @@ def convert_splats(
 
 def _convert_stage(
     steps: Steps, source: Source, target: Target, *, in_up: str | None, choice: SplatChoice
-) -> Splats | Cameras:
-    """Write the splats or the cameras of `source` in a format that has both."""
+) -> Splats | Cameras | Volume:
+    """Write the splats, the cameras or the volume of `source` in a format that has all of them."""
     from nerfbake.jobs.cameras import write_cameras
     from nerfbake.jobs.views import tell_file_of
 
     form = _require_splats(source, target, in_up, choice)
-    found = source.read(steps, Splats, Cameras)
+    found = source.read(steps, Splats, Cameras, Volume)
     if isinstance(found, Splats):
         return _write_splats(steps, source, found, target, form, in_up=in_up, choice=choice)
-    if given := [name for name, value in vars(choice).items() if value]:
-        raise UsageError(f"`{given[0]}` is for splats, but {source.name} holds cameras; allowed: `in_up`")
+    is_volume = isinstance(found, Volume)
+    if given := [name for name, value in vars(choice).items() if value and not (is_volume and name == "half")]:
+        held = "a volume" if is_volume else "cameras"
+        raise UsageError(f"`{given[0]}` is for splats, but {source.name} holds {held}; allowed: `in_up`")
+    if is_volume:
+        return _write_stage_of(steps, source, found, target, in_up=in_up, half=choice.half)
     tell_file_of(steps, source.name, found)
     return write_cameras(steps, found, source, target, in_up=in_up)
+
+
+def _write_stage_of(
+    steps: Steps, source: Source, read: Volume, target: Target, *, in_up: str | None, half: bool
+) -> Volume:
+    """Write a stage with the grids of a volume in a .vdb beside it."""
+    target.require("Volume")
+    volume: Volume = GridChoice(in_up=in_up).whole(steps, source, read)
+    volume = _rounded(steps, source, target, volume, half=half)
+    if in_up is None:
+        steps.say(f"{target.name}: z is up in the stage; {source.name} does not say its axis, so name it by `in_up`")
+    target.write(steps, volume)
+    return volume
 
 
 def _require_splats(source: Source, target: Target, in_up: str | None, choice: SplatChoice) -> catalog.AnyFormat:

@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerfbake import Cameras, Meshes, Splats, installation, load, sample_n3tree, save
+from nerfbake import Cameras, Meshes, Splats, Volume, build_octree, build_vdb, installation, load, sample_n3tree, save
+from nerfbake.cli.convert import convert
 from nerfbake.cli.main import run
 from nerfbake.cli.paths import declared
 from nerfbake.cli.vdb import vdb
+from tests.support.scenes import n3tree
 from tests.support.splats import splats
 from tests.support.usd import in_this_process as in_this_process
 from tests.support.views import sample_views
@@ -119,3 +121,26 @@ def test_a_stage_gives_its_cameras_to_other_commands() -> None:
 def test_a_batch_knows_the_vdb_beside_a_stage() -> None:
     assert declared(vdb, ["a.npz", "out/a.usda"]).writes == ("out/a.usda",)
     assert "out/a.vdb" in declared(vdb, ["a.npz", "out/a.usda"]).spare
+    assert "out/a.vdb" in declared(convert, ["smoke.nvdb", "out/a.usda"]).spare
+
+
+@pytest.mark.usefixtures("without_openusd")
+def test_any_volume_gets_a_stage_beside_its_vdb(capsys: pytest.CaptureFixture[str]) -> None:
+    volume = build_vdb(build_octree(n3tree()), grids=("density",))
+    save("smoke.nvdb", volume)
+    assert run(["convert", "smoke.nvdb", "smoke.usda"]) == 0
+    assert "smoke.usda: z is up in the stage; smoke.nvdb does not say its axis, so name it by --in-up\n" in (
+        capsys.readouterr().err
+    )
+    assert "float3[] extent" in Path("smoke.usda").read_text()
+    assert load("smoke.vdb", Volume).labels == volume.labels
+    assert run(["convert", "smoke.nvdb", "y.usdc", "--in-up", "y", "--half"]) == 0
+    assert "does not say" not in capsys.readouterr().err
+    assert np.allclose(load("y.vdb", Volume).transform, volume.turned().transform)
+    for words, told in (
+        ("smoke.vdb smoke.usda", "smoke.usda: exists already"),
+        ("smoke.vdb new.usdz", "a .usdz cannot contain a .vdb; allowed: .usda or .usdc"),
+        ("smoke.vdb new.usda --in-axes RDF", "--in-axes is for splats, but smoke.vdb holds a volume; allowed: --in-up"),
+    ):
+        assert run(["convert", *words.split()]) != 0
+        assert told in capsys.readouterr().err
