@@ -121,6 +121,7 @@ class FitPasses:
         self._rays, self._residuals, self._nothing = gpu.empty(16), gpu.empty(16), gpu.empty(16)
         self._cells: _Cells | None = None
         self._bound: dict[Any, Bound] = {}
+        self._units: dict[Any, float] = {}
         self._pending: tuple[Download, float, int] | None = None
         self._seconds = inf  # of a visit
 
@@ -268,7 +269,10 @@ class FitPasses:
         record["optics"], record["turn"][:, :3] = view.optics, view.turn
         record["background"][:3], record["gains"][:3] = view.background, visit.gains
         record["losses"] = losses.alpha, losses.point, losses.distortion, losses.focus
-        unit = self._steps_a_unit(cells, visit) if steps is not None else _STEPS
+        unit = _STEPS
+        if steps is not None:
+            key = visit.view.pixels, visit.samples
+            unit = self._units.get(key) or self._units.setdefault(key, self._steps_a_unit(cells, visit))
         record["limits"] = min(losses.most, 1e30), min(losses.most_mean, 1e30), unit, 1 / unit
         if steps is not None:
             density, colour, rays = steps.density, steps.colour, steps.rays
@@ -351,6 +355,7 @@ class FitPasses:
         """Free the cells of the stage before."""
         self._settle()
         self._bound.clear()
+        self._units.clear()
         self._cells = None
 
     def _ranges(self, bricks: BrickGrid, D: int) -> Iterator[tuple[int, int]]:
