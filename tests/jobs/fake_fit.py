@@ -35,6 +35,9 @@ class FakeState:
     def field(self) -> BrickField:
         return replace(goal(), values=goal().values * np.float32((self.done + 1) / self.of))
 
+    def return_to_cpu(self) -> None:
+        """Return to what was read last: this state never is elsewhere."""
+
     def arrays(self) -> dict[str, Any]:
         return {"at": np.array([self.stage, self.epoch, self.view, self.done, self.of])}
 
