@@ -16,6 +16,7 @@ from nerfbake.cli.params import (
     as_json,
     bundled,
     console_options,
+    device_option,
     max_loss,
     max_size,
     min_psnr,
@@ -44,7 +45,9 @@ goal_options = bundled(
 
 
 def quality_options(function: Command) -> Command:
-    """Add --cameras, --truth, --samples, --source-psnr and --min-psnr; pass the command `photographs` and `budget`."""
+    """Add --cameras, --truth, --samples, --source-psnr, --min-psnr and --device; pass the command
+    `photographs` and `budget`.
+    """
 
     @click.option(
         "--cameras", metavar="CAPTURE", type=Capture(), help=f"Cameras for --truth and --min-psnr: {CAPTURE}."
@@ -57,6 +60,7 @@ def quality_options(function: Command) -> Command:
         help="PSNR of IN against its photographs in dB, to predict the loss from.  [default: 30.5]",
     )
     @min_psnr
+    @device_option
     @wraps(function)
     def command(
         *args: object,
@@ -65,6 +69,7 @@ def quality_options(function: Command) -> Command:
         source_psnr: float | None,
         min_psnr: float | None,
         samples: int | None,
+        device: str,
         **others: object,
     ) -> object:
         from nerfbake.jobs.compressions import GroundTruth
@@ -74,9 +79,8 @@ def quality_options(function: Command) -> Command:
                 allowed = f"--{name} with --truth or --min-psnr"
                 without_effect(name, here="without --truth or --min-psnr", allowed=allowed)
         photographs = GroundTruth(cameras=cameras, truth=truth, source_psnr=source_psnr, samples=samples)
-        return function(
-            *args, photographs=photographs, budget=Budget(min_psnr=min_psnr, cameras=cameras, samples=samples), **others
-        )
+        budget = Budget(min_psnr=min_psnr, cameras=cameras, samples=samples, device=device)
+        return function(*args, photographs=photographs, budget=budget, **others)
 
     return command
 

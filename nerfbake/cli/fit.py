@@ -82,11 +82,12 @@ def _check_pictures(pictures: MeshViews | SplatsViews) -> None:
         allowed = "it with --views"
         without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
     else:
-        without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
+        allowed = "--frames, --edge and --device without --views"
+        without_effect("frames", "edge", "device", here="with --views", allowed=allowed)
 
 
 def training_picture_options(fitted: str, kind: str) -> Callable[[Command], Command]:
-    """Add --views with photograph_options, --frames and --edge; pass the command `pictures`.
+    """Add --views with photograph_options, --frames, --edge and --device; pass the command `pictures`.
 
     fitted: what the photographs of --views are, for the help. kind: the class of `pictures`, as for bundled().
     """
@@ -113,6 +114,7 @@ def training_picture_options(fitted: str, kind: str) -> Callable[[Command], Comm
             show_default=True,
             help="Without --views: width and height of these pictures, in pixels.",
         ),
+        device_option,
         photograph_options,
         check=_check_pictures,
     )

@@ -13,6 +13,7 @@ from nerfbake.cli.params import (
     as_json,
     bundled,
     console_options,
+    device_option,
     octree_target_argument,
     seed,
     source_argument,
@@ -77,6 +78,7 @@ reference_options = bundled(
     show_default=True,
     help="Rays along each edge of a pixel. Choose the value that OUT will be rendered with.",
 )
+@device_option
 @seed
 @as_json
 @console_options

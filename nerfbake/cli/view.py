@@ -11,6 +11,7 @@ from nerfbake.cli.params import (
     CAPTURE,
     bundled,
     console_options,
+    device_option,
     grid_options,
     max_loss,
     max_size,
@@ -97,6 +98,7 @@ _OF_FIELDS = {
     is_flag=True,
     help="Also store the photographs of --cameras, 480 pixels wide, to show them over the scene.",
 )
+@device_option
 @function_options()
 @grid_options()
 @console_options

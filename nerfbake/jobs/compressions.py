@@ -9,6 +9,7 @@ from typing import Any, Literal
 from nerfbake import io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget, judge_output, reporting
+from nerfbake.jobs.devices import renderer_on
 from nerfbake.jobs.files import AnySource, AnyTarget, Target, as_source, as_target
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.readings import Reading
@@ -124,6 +125,7 @@ def compress_file(
     photographs.require()
     target.require("QuantisedOctree", coding=coding)
     budget.require(target)
+    render = renderer_on(steps, budget.device)
     reading = Reading(steps, source, functions=functions)
     reading.require()
     octree, held_out = reading.octree(), reading.held_out
@@ -131,7 +133,7 @@ def compress_file(
     options |= photographs.read(steps, held_out)
     with source.blamed(steps, "compressing") as tell:
         coded_size = coded_size_of(target, coding)
-        found = compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, **options)
+        found = compress_octree(octree, coded_size=coded_size, basis=basis, tell=tell, render=render, **options)
     reported = reporting(lambda: report(found) if report is not None else None)
     with reported, target.writing(steps, found.quantised, coding=coding) as written:
         steps.say(f"{target.name}: {found}")

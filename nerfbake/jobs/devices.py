@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from nerfbake.device.adapters import AUTO as DEVICE
-from nerfbake.device.adapters import list_adapters, open_device
+from nerfbake.device.adapters import AUTO, list_adapters, open_device
 from nerfbake.installation import command_for, is_installed
 from nerfbake.jobs.steps import Steps
 from nerfbake.stages.renderers import KERNELS, DeviceRenderer, Renderer
 
+DEVICE = AUTO  # the default of every job
 _CELL_BYTES = 4 * 28  # of a cell with SH9 and density
 
 
@@ -47,7 +47,7 @@ def renderer_on(steps: Steps, device: str = DEVICE) -> Renderer:
     If a card fails later, a line says so, and the CPU renders what is left. Raises UsageError if there is no such
     device.
 
-    >>> renderer_on(SILENT, "cpu") is KERNELS
+    >>> renderer_on(nerfbake.jobs.SILENT, "cpu") is KERNELS
     True
     """
     gpu = open_device(device)

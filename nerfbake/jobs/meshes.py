@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from nerfbake import catalog, io, progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
+from nerfbake.jobs.devices import DEVICE, renderer_on
 from nerfbake.jobs.files import (
     AnySource,
     AnyTarget,
@@ -67,13 +68,14 @@ class MeshViews:
     """The pictures that a mesh is textured from.
 
     views        a capture; None: pictures of the scene, from all sides
-    frames       number of these pictures; edge: their width and height in pixels
+    frames       number of these pictures; edge: their width and height in pixels; device: as in renderer_on()
     photographs  options for the photographs of the capture
     """
 
     views: str | None = None
     frames: int = 100
     edge: int = EDGE
+    device: str = DEVICE
     photographs: PhotographOptions = PhotographOptions()
 
     @property
@@ -91,8 +93,8 @@ class MeshViews:
             require_alike(steps, source, field, split.held_out, self.views)
             return split
         with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
-            shown = field if splats is None else splats
-            return render_split(shown, frames=self.frames, edge=self.edge, samples=SAMPLES, framed=field)
+            shown, render = field if splats is None else splats, renderer_on(steps, self.device)
+            return render_split(shown, frames=self.frames, edge=self.edge, samples=SAMPLES, framed=field, render=render)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,9 +277,8 @@ def bake_mesh(
     del field
     reported = reporting(lambda: report(found) if report is not None else None)
     with reported, place.writing(steps, scene, **format_options) as written:
-        judged_on = (
-            str(split.held_out) if pictures.views else f"{len(split.held_out.pictures)} pictures of {source.name}"
-        )
+        count = len(split.held_out.pictures)
+        judged_on = str(split.held_out) if pictures.views else f"{count} pictures of {source.name}"
         loaded, quality = _judged(steps, place, written.path, split.held_out, judged_on, scene, format_options)
         if light is not None:
             written_mesh = replace(_levels(loaded)[0], material=_levels(scene)[0].material)
@@ -331,9 +332,8 @@ def _flat(
 
 def _tell_quality(steps: Steps, found: MeshResult, min_psnr: float | None) -> None:
     """Print the quality of a mesh. Raises BudgetMissed."""
-    quality = found.quality
-    steps.say(f"{found.path}: {quality}; after {found.worked:.0f} CPU seconds")
-    Budget(min_psnr=min_psnr).judge(quality.psnr, "the mesh has", quality.judged_on)
+    steps.say(f"{found.path}: {found.quality}; after {found.worked:.0f} CPU seconds")
+    Budget(min_psnr=min_psnr).judge(found.quality.psnr, "the mesh has", found.quality.judged_on)
 
 
 def mesh_target(target: AnyTarget | FolderTarget) -> Target | FolderTarget:

@@ -20,6 +20,7 @@ from nerfbake import catalog, io, memory, progress
 from nerfbake.errors import BudgetMissed, UsageError
 from nerfbake.jobs.budgets import Budget, judge_output
 from nerfbake.jobs.compressions import MAX_LOSS, CompressionGoal, GroundTruth
+from nerfbake.jobs.devices import DEVICE, renderer_on
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.grids import GridChoice, tell_unused
@@ -44,11 +45,12 @@ from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.field_and_meshes_to_image import render_field_and_meshes
-from nerfbake.stages.field_to_image import RenderOptions, render_field
+from nerfbake.stages.field_to_image import RenderOptions
 from nerfbake.stages.field_to_page_field import build_page_field, round_field
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.n3tree_to_page_shells import build_page_shells
 from nerfbake.stages.octree_to_compression import compress_octree
+from nerfbake.stages.renderers import Renderer
 from nerfbake.stages.scene_to_field import build_field, build_field_from_page, round_to_bytes
 from nerfbake.stages.stage1_to_image import render_stage1
 from nerfbake.stages.stage1_to_page_surface import build_page_surface
@@ -119,12 +121,12 @@ class PageExtras:
             memory.require("the page's triangles and textures", _COPIES * memory.size_of(meshes))
         return PageExtras(meshes=meshes, composite=mesh.how)
 
-    def render(self, field: RadianceField, view: Camera, **options: Unpack[RenderOptions]) -> Image:
-        """Render the first view of field and meshes. Options are passed to render_field()."""
+    def render(self, field: RadianceField, view: Camera, render: Renderer, **options: Unpack[RenderOptions]) -> Image:
+        """Render the first view of field and meshes. render: renders fields, and takes the options."""
         if not self.meshes:
-            return render_field(field, view, **options)
+            return render(field, view, **options)
         meshes = Meshes(self.meshes)
-        return render_field_and_meshes(field, meshes, view, how=self.composite, **options)
+        return render_field_and_meshes(field, meshes, view, how=self.composite, render=render, **options)
 
 
 def surface_page(
@@ -177,6 +179,7 @@ def view_file(
     lookup: Literal["nearest", "trilinear"] = "nearest",
     mesh: PlacedMesh | None = None,
     stage1: str | None = None,
+    device: str = DEVICE,
     steps: Steps = SILENT,
 ) -> Page:
     """Write a page that shows a scene in any browser and return it. This is `nerfbake view`.
@@ -205,6 +208,7 @@ def view_file(
     lookup      lookup that the page opens with, as in render_field(); it can be switched in the page
     mesh        a mesh to show in a field
     stage1      for an atlas: the stage-1 folder that it was baked from, whose MLP the page also shows
+    device      what renders a field for the cover and for min_psnr, as in renderer_on()
 
     Raises NerfbakeError.
 
@@ -215,7 +219,7 @@ def view_file(
     source = as_source(source)
     ground_truth = GroundTruth(cameras=cameras, truth=truth, samples=samples)
     request = _Request(data=data, goal=goal, photographs=ground_truth)
-    budget = Budget(min_psnr=min_psnr, cameras=cameras, samples=samples)
+    budget = Budget(min_psnr=min_psnr, cameras=cameras, samples=samples, device=device)
     request.photographs.require()
     if photographs and cameras is None:
         raise UsageError("`photographs` needs `cameras`, the capture that they are read from")
@@ -244,7 +248,7 @@ def view_file(
             made = surface_page(steps, source, read.scene, stage1, look)
             file.write(steps, made)
             return made
-        shown = _framed(steps, source, read, mesh, look, photographs=photographs)
+        shown = _framed(steps, source, read, mesh, look, renderer_on(steps, device), photographs=photographs)
         if data == "exact" or isinstance(read.scene, Volume):
             made = _exact(steps, source, shown)
         elif read.data is not None and not request.anew:
@@ -282,6 +286,7 @@ class _Shown(NamedTuple):
     cover: Image
     beside: PageExtras
     look: PageLook
+    render: Renderer
     turns: bool
     around: tuple[PageField, ...]
     photographs: tuple[bytes, ...]
@@ -348,6 +353,7 @@ def _framed(
     read: _Content,
     mesh: PlacedMesh | None,
     look: PageLook,
+    render: Renderer,
     *,
     photographs: bool,
 ) -> _Shown:
@@ -369,9 +375,9 @@ def _framed(
         views, previews = read_previews(steps, str(look.cameras), views)
     beside = PageExtras.of(steps, mesh)
     with source.blamed(steps, "rendering the cover"):
-        cover = beside.render(whole, first, background=look.background, lookup=look.lookup)
+        cover = beside.render(whole, first, render, background=look.background, lookup=look.lookup)
     turns = look.cameras is None and held_out is None
-    return _Shown(field, views, cover, beside, look, turns, around, previews)
+    return _Shown(field, views, cover, beside, look, render, turns, around, previews)
 
 
 def read_previews(steps: Steps, path: str, views: Cameras) -> tuple[Cameras, tuple[bytes, ...]]:
@@ -418,7 +424,7 @@ def _compression(
 
     options = request.goal.options | request.photographs.read(steps, read.held_out)
     with source.blamed(steps, "compressing") as tell:
-        options |= {"coded_size": coded_size, "field": shown.field, "tell": tell}
+        options |= {"coded_size": coded_size, "field": shown.field, "tell": tell, "render": shown.render}
         most = _MOST_BYTES - _shells_size(shown, form)
         if request.goal == CompressionGoal() and most > 0:
             with suppress(BudgetMissed):  # the octree has too many leaves to fit at any precision

@@ -21,6 +21,7 @@ from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_and_views_to_views import cut_out_field
 from nerfbake.stages.pictures_to_views import Scenery, apply_mask, build_views, reduction_factor
+from nerfbake.stages.renderers import KERNELS, Renderer
 from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
 from nerfbake.stages.views_to_error import ViewError, measure_views, plain_psnr
 
@@ -197,20 +198,21 @@ def render_split(
     samples: int = 1,
     framed: RadianceField | Splats | None = None,
     zoom: float = 1.0,
+    render: Renderer = KERNELS,
 ) -> SplitViews:
     """Render a scene from all sides: `frames` pictures to fit to, and FRAMES others that are held out.
 
     framed: the scene around which the cameras stand, if it is another one. zoom: of the pictures to fit to, as in
-    scatter_cameras().
+    scatter_cameras(). render: renders fields.
     """
     framed = scene if framed is None else framed
     around = scatter_cameras(framed, frames=frames, edge=edge, zoom=zoom)
     held_out = orbit_cameras(framed, frames=FRAMES, width=edge, height=edge)
     share = len(around.cameras) / (len(around.cameras) + len(held_out.cameras))
     with progress.part(0, share):
-        training = picture_views(scene, around, samples)
+        training = picture_views(scene, around, samples, render)
     with progress.part(share, 1):
-        return SplitViews(training, picture_views(scene, held_out, samples))
+        return SplitViews(training, picture_views(scene, held_out, samples, render))
 
 
 def _held_out(views: Views, every: int | None, name: str) -> SplitViews:

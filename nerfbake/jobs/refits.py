@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from nerfbake import io, progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import EDGE
+from nerfbake.jobs.devices import DEVICE, renderer_on
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.photographs import PhotographOptions, SplitViews, mean_of, read_photographs, render_split
@@ -19,6 +20,7 @@ from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.splats import Splats
 from nerfbake.stages.brick_field_to_octree import fill_octree
 from nerfbake.stages.octree_to_brick_field import build_bricks
+from nerfbake.stages.renderers import Renderer
 from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.views_to_error import ViewError, measure_views
 
@@ -48,11 +50,11 @@ class RefitReference:
             raise UsageError(f"`like` and `views`: {given}; allowed: one of them, which IN is fitted to")
         self.photographs.require()
 
-    def split(self, steps: Steps, samples: int, box: Points) -> SplitViews:
+    def split(self, steps: Steps, samples: int, box: Points, render: Renderer) -> SplitViews:
         """Return the training views and the held-out views.
 
         samples: rays along each edge of a pixel. box: the octree's; if it is not as wide as a scene with scenery, the
-        pictures show the inner cube.
+        pictures show the inner cube. render: renders fields.
         """
         if self.views is not None:
             return read_photographs(steps, Source(self.views), replace(self.photographs, scenery="drop"))
@@ -62,7 +64,7 @@ class RefitReference:
             reading.use_inner_cube()
         shown = reading.scene if isinstance(reading.scene, Splats) else reading.field()
         with bigger.blamed(steps, f"rendering pictures of {bigger.name}"):
-            return render_split(shown, frames=self.frames, edge=self.edge, samples=samples)
+            return render_split(shown, frames=self.frames, edge=self.edge, samples=samples, render=render)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,6 +109,7 @@ def refit_file(
     *,
     options: RefitOptions = RefitOptions(),
     no_child: int | None = None,
+    device: str = DEVICE,
     steps: Steps = SILENT,
 ) -> RefitResult:
     """Fit the leaf values of an octree to a finer scene or to photographs. This is `nerfbake refit`.
@@ -123,11 +126,12 @@ def refit_file(
     source, target = as_source(source), as_target(target)
     reference.require()
     _require(target, no_child)
+    render = renderer_on(steps, device)
     octree = Reading(steps, source).octree()
     with source.blamed(steps, "preparing"):
         cells = build_bricks(octree)
-    split = reference.split(steps, options.samples, cells.box)
-    before = _measure(steps, source, octree, split, options)
+    split = reference.split(steps, options.samples, cells.box, render)
+    before = _measure(steps, source, octree, split, options, render)
     field, worked = _fit(steps, source, cells, split, options)
     with source.blamed(steps, "storing the values"):
         refitted = fill_octree(octree, field)
@@ -135,7 +139,7 @@ def refit_file(
         del octree, cells, field, refitted
         with steps.phase(f"reading {target.name}"), read_back_as(target.path):
             loaded: io.Loaded[Any] = io.load_with_format(written.path)
-        after = _measure(steps, Source(target.path), loaded.scene, split, options)
+        after = _measure(steps, Source(target.path), loaded.scene, split, options, render)
     found = RefitResult(target.path, str(loaded.scene), loaded.size, before, after, worked)
     was, now = found.psnr
     io.report_result(psnr=now)
@@ -162,7 +166,9 @@ def _fit(
         return state.field(), clock.worked
 
 
-def _measure(steps: Steps, file: Source, scene: Any, split: SplitViews, options: RefitOptions) -> tuple[ViewError, ...]:
+def _measure(
+    steps: Steps, file: Source, scene: Any, split: SplitViews, options: RefitOptions, render: Renderer
+) -> tuple[ViewError, ...]:
     """Measure the pictures of a scene on the held-out views."""
     with file.blamed(steps, f"measuring {file.name} on {len(split.held_out.pictures)} pictures"):
-        return measure_views(build_field(scene), split.held_out, samples=options.samples)
+        return measure_views(build_field(scene), split.held_out, samples=options.samples, render=render)

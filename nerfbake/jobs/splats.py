@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from nerfbake import catalog, io, progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import FRAMES, Budget, reporting
+from nerfbake.jobs.devices import DEVICE, renderer_on
 from nerfbake.jobs.files import (
     AnySource,
     AnyTarget,
@@ -62,12 +63,14 @@ class SplatsViews:
     views        a capture; None: pictures of IN, from all sides
     photographs  options for its photographs
     frames       number of rendered pictures; edge: their width and height in pixels
+    device       what renders pictures of a field, as in renderer_on()
     """
 
     views: str | None = None
     photographs: PhotographOptions = PhotographOptions()
     frames: int = PICTURES
     edge: int = EDGE
+    device: str = DEVICE
 
     def split(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
         """Return the training views and the held-out views. Raises NerfbakeError if they show something else."""
@@ -76,7 +79,8 @@ class SplatsViews:
             require_alike(steps, source, field, split.held_out, self.views)
             return split
         with source.blamed(steps, f"rendering pictures of {source.name}"):
-            return render_split(field, frames=self.frames, edge=self.edge, framed=without_strays(field), zoom=_ZOOM)
+            render, framed = renderer_on(steps, self.device), without_strays(field)
+            return render_split(field, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM, render=render)
 
     def split_of(self, steps: Steps, source: Source, splats: Splats, *, fitted: bool) -> SplitViews:
         """Return the same of splats. fitted: without it, the training views are not needed, and may be any others."""

@@ -17,10 +17,10 @@ from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.views import Views
-from nerfbake.stages.field_to_image import render_field
 from nerfbake.stages.origins import has_origin, origin_of
 from nerfbake.stages.picture import Visible, renderable
 from nerfbake.stages.pictures_to_views import build_views
+from nerfbake.stages.renderers import KERNELS, Renderer
 from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scenes_to_comparison import compare_scenes
 from nerfbake.stages.splats_to_image import render_splats
@@ -112,17 +112,24 @@ def orbit_psnr(a: Any, b: Any, frames: int, edge: int) -> float:
     return float(compare_scenes(a, b, views, keep_pictures=False).means["a_b"]["psnr"])
 
 
-def picture_views(scene: RadianceField | Splats | Stage1, cameras: Cameras, samples: int) -> Views:
-    """Render pictures of a scene, with alpha, to which something else is fitted, or with which it is compared."""
+def picture_views(
+    scene: RadianceField | Splats | Stage1, cameras: Cameras, samples: int, render: Renderer = KERNELS
+) -> Views:
+    """Render pictures of a scene, with alpha, to which something else is fitted, or with which it is compared.
+
+    render: renders fields.
+    """
 
     def pictures() -> Iterator[Any]:
-        for camera in progress.each(cameras.cameras):
+        views = progress.each(cameras.cameras)
+        if isinstance(scene, RadianceField):
+            yield from (image.pixels for image in render.each(scene, views, background=None, samples=samples))
+            return
+        for camera in views:
             if isinstance(scene, Splats):
                 yield render_splats(scene, camera, background=None).pixels
-            elif isinstance(scene, Stage1):
-                yield render_stage1(scene, camera, background=None, samples=samples).pixels
             else:
-                yield render_field(scene, camera, background=None, samples=samples).pixels
+                yield render_stage1(scene, camera, background=None, samples=samples).pixels
 
     return build_views(cameras, pictures())
 

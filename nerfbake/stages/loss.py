@@ -15,7 +15,7 @@ from nerfbake.scene.camera import Camera
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.image import WHITE
 from nerfbake.scene.radiance_field import RadianceField
-from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.renderers import KERNELS, Renderer
 from nerfbake.stages.scene_to_cameras import scatter_cameras, without_strays
 
 _LN_10 = 2.302585092994046
@@ -57,6 +57,7 @@ class LossMeter:
     source_psnr: float
     views: int  # number of photographs, or of camera positions around the scene
     background: tuple[float, float, float] = WHITE
+    render: Renderer = KERNELS  # of fields
 
     @property
     def source_error(self) -> float:
@@ -78,7 +79,7 @@ class LossMeter:
 
     def cost(self, field: RadianceField) -> Loss:
         """Render the field, and return its loss."""
-        pictures = [_picture(field, camera, self.background) for camera in progress.each(self.cameras)]
+        pictures = [_picture(field, camera, self.background, self.render) for camera in progress.each(self.cameras)]
         pairs = zip(pictures, self.references, strict=True)
         squares = sum(float(np.square(picture - reference).sum()) for picture, reference in pairs)
         error = squares / sum(reference.size for reference in self.references)
@@ -87,16 +88,18 @@ class LossMeter:
         return Loss(error, self.source_psnr - _mean_psnr(pictures, self.truth))
 
 
-def predicting_judge(field: RadianceField, *, source_psnr: float = SOURCE_PSNR) -> LossMeter:
+def predicting_judge(
+    field: RadianceField, *, source_psnr: float = SOURCE_PSNR, render: Renderer = KERNELS
+) -> LossMeter:
     """Return a meter that predicts at most how much is lost: docs/compression.md, "Without photographs"."""
     cameras = scatter_cameras(without_strays(field), frames=_FRAMES, edge=_EDGE, zoom=_ZOOM)
     looks = [[camera] for camera in cameras.cameras]
     _require_memory(looks, 1)
-    references = [_picture(field, camera, WHITE) for camera in progress.each(looks)]
-    return LossMeter(looks, references, None, source_psnr, len(references))
+    references = [_picture(field, camera, WHITE, render) for camera in progress.each(looks)]
+    return LossMeter(looks, references, None, source_psnr, len(references), render=render)
 
 
-def measuring_judge(field: RadianceField, held_out: HeldOut) -> LossMeter:
+def measuring_judge(field: RadianceField, held_out: HeldOut, *, render: Renderer = KERNELS) -> LossMeter:
     """Return a meter that measures the loss on pixels of photographs.
 
     Raises MemoryLimit, and InvalidScene for lenses that do not cover the corners of their pictures.
@@ -105,8 +108,8 @@ def measuring_judge(field: RadianceField, held_out: HeldOut) -> LossMeter:
     looks, background = held_out.looks(), held_out.background
     _require_memory(looks, 2)
     truth = [pixels / 255 for pixels in held_out.pixels]
-    references = [_picture(field, each, background) for each in looks]
-    return LossMeter(looks, references, truth, _mean_psnr(references, truth), len(looks), background)
+    references = [_picture(field, each, background, render) for each in looks]
+    return LossMeter(looks, references, truth, _mean_psnr(references, truth), len(looks), background, render)
 
 
 def _require_memory(looks: list[list[Camera]], kept: int) -> None:
@@ -114,8 +117,10 @@ def _require_memory(looks: list[list[Camera]], kept: int) -> None:
     memory.require("the pictures that the loss is measured on", pixels * 24 * (kept + 1))
 
 
-def _picture(field: RadianceField, cameras: list[Camera], background: tuple[float, float, float]) -> Pixels:
-    pictures = (render_field(field, camera, background=background) for camera in cameras)
+def _picture(
+    field: RadianceField, cameras: list[Camera], background: tuple[float, float, float], render: Renderer
+) -> Pixels:
+    pictures = render.each(field, cameras, background=background)
     first, *others = (picture.colour.astype(np.float64) for picture in pictures)
     for other in others:
         first += other

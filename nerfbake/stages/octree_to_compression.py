@@ -22,6 +22,7 @@ from nerfbake.stages.coefficients import STEPS, Coefficients, Rows, transform, v
 from nerfbake.stages.field_to_importance import Importance, weigh_leaves
 from nerfbake.stages.loss import SOURCE_PSNR, Loss, LossMeter, measuring_judge, predicting_judge
 from nerfbake.stages.octree_to_octree import lower_basis, require_lower
+from nerfbake.stages.renderers import KERNELS, Renderer
 from nerfbake.stages.scene_to_cameras import scatter_cameras, without_strays
 from nerfbake.stages.scene_to_field import build_field_from_octree
 
@@ -93,6 +94,7 @@ def compress_octree(
     source_psnr: float = SOURCE_PSNR,
     field: RadianceField | None = None,
     tell: Callable[[str], None] = lambda text: None,
+    render: Renderer = KERNELS,
 ) -> Compression:
     """Prune and quantise an octree as far as one of these limits allows:
 
@@ -103,8 +105,8 @@ def compress_octree(
 
     basis: SHk of a lower degree; its error is part of the loss. Pruning may cause about 6 % of the loss.
     The loss is measured on held_out, pixels of photographs, or else predicted for a source of source_psnr, with a
-    margin. field: build_field() of the octree, if you have already built it. tell() is called with a line of text for
-    each trial.
+    margin. field: build_field() of the octree, if you have already built it. render: renders fields. tell() is called
+    with a line of text for each trial.
     Raises InvalidScene for an octree that cannot be rendered, BudgetMissed if the limit cannot be met, MemoryLimit.
 
     >>> from nerfbake import build_octree, compress_octree, sample_n3tree
@@ -126,9 +128,9 @@ def compress_octree(
     tell(f"{len(rows):,} leaves weighed")
     with progress.listening(None):
         if held_out is not None:
-            judge = measuring_judge(own, held_out)
+            judge = measuring_judge(own, held_out, render=render)
         else:
-            judge = predicting_judge(own, source_psnr=source_psnr)
+            judge = predicting_judge(own, source_psnr=source_psnr, render=render)
     whole = 0.0
     if basis is not None:
         octree = lower_basis(octree, basis, importance.gram)
