@@ -9,7 +9,7 @@ const BLUR = 0.3; // added to the variances in a picture of full size, in square
 const SPLATS = 4096; // of an instance, as in splats_vertex.glsl
 const PARTS = 12; // between which pixels are closed
 const HELD = { words: 0, rest: 1, order: 2, first: 3, second: 4, sum: 5 }; // units of the textures
-const THIN = 4; // in a coarse picture, one of so many splats is drawn, with so many times the area
+const THIN = 4; // in a coarse picture, one of so many splats is drawn, which stands for them
 const COARSE = 0.5; // scale of a picture from which all splats are drawn
 const SORT_WAIT = 1e-7; // views that differ by less, in units of the scene, have the same order
 
@@ -204,7 +204,7 @@ class SplatPicture extends Drawing {
     gl.uniform1i(uniform("mode"), MODES[mode]);
     gl.uniform1i(uniform("count"), order.length);
     gl.uniform1i(uniform("line"), line);
-    gl.uniform1f(uniform("larger"), Math.sqrt(times));
+    gl.uniform1f(uniform("times"), times);
     gl.uniform1f(uniform("farthest"), range[1]);
     gl.uniformMatrix4x3fv(uniform("place"), true, facts.place.flat());
     gl.uniform3fv(uniform("lowest"), clip[0].map((part) => far(part, 0)));

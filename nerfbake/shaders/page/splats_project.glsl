@@ -12,7 +12,7 @@ uniform usampler2D order;  // the numbers of the splats, nearest first
 uniform int bits;          // 2^bits splats in a line of each texture
 uniform int count;         // of the splats in the order
 uniform int line;          // of the order's texture, at which it starts
-uniform float larger;      // factor of all scales
+uniform float times;       // each splat stands for so many
 uniform vec3 eye;
 uniform mat3 axes;      // right, up, back of the camera, as columns
 uniform vec2 size;      // of the picture, in pixels
@@ -29,6 +29,7 @@ layout(location = 1) out uvec4 second;  // yy, and the determinant of the covari
 
 const int FIRST = 1, DEPTH = 2, PICK = 4;
 const float NEAR = 0.01, BLUR = 0.3, SEEN = 1.0 / 255.0, LEAST_SHARE = 2.5e-5, MARGIN = 1.3, MOST = 6e4;
+const float DENSE = 0.9;  // opacity up to which a splat that stands for several becomes denser, and then larger
 
 int signedAt(uint word, int shift, int width) {
   return int(word << uint(32 - width - shift)) >> (32 - width);
@@ -69,6 +70,8 @@ void main() {
   vec2 slope = seen.xy / z, most = MARGIN * size / (2.0 * focal), bent = clamp(slope, -most, most);
   // The rows of the Jacobian times the camera's axes, then times the axes of the splat.
   vec3 across = (axes[0] + bent.x * axes[2]) * (focal / z), down = (axes[1] + bent.y * axes[2]) * (focal / z);
+  float dense = min(times * opacity, max(opacity, DENSE)), larger = sqrt(times * opacity / dense);
+  opacity = dense;
   vec3 scale = larger * exp((vec3((uvec3(more.x) >> uvec3(0u, 10u, 20u)) & 1023u) - 640.0) / 16.0);
   mat3 turn = turnOf(word.w);
   vec3 p = scale * (across * turn), q = scale * (down * turn), minors = cross(p, q);
