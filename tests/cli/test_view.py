@@ -12,6 +12,7 @@ from nerfbake import Cameras, N3Tree, build_field, build_octree, build_vdb, load
 from nerfbake import sample_n3tree as made_tree
 from tests.conftest import Shell
 from tests.support.scenes import n3tree
+from tests.support.splats import splats
 
 pytestmark = pytest.mark.usefixtures("fewer_rays")
 
@@ -177,3 +178,16 @@ def test_without_out_a_browser_opens_the_page(shell: Shell, tmp_path: Path, monk
     done = shell("view", "a.npz", "--data", "exact")
     assert done.returncode == 2
     assert b"no browser could open " in done.stderr
+
+
+def test_splats_are_drawn_as_splats_if_asked(shell: Shell, tmp_path: Path) -> None:
+    save(tmp_path / "s.ply", splats(20, degree=0))
+    done = shell("view", "s.ply", "s.html", "--as", "splats", "--background", "0,0,0")
+    assert done.returncode == 0, done.stderr
+    assert b'"kind": "splats"' in (tmp_path / "s.html").read_bytes()
+    for options in (["--data", "exact"], ["--lookup", "trilinear"], ["--max-size", "1MB"], ["--mesh", "s.ply"]):
+        done = shell("view", "s.ply", "t.html", "--as", "splats", *options)
+        assert done.returncode == 2
+        assert f"{options[0]} has no effect with --as splats" in done.stderr.decode()
+        assert not (tmp_path / "t.html").exists()
+    assert shell("view", "s.ply", "t.html", "--as", "mesh").returncode == 2

@@ -26,7 +26,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-LAST = ("bake_lod", "measure_atlas")  # their examples read what another example wrote
+LAST = ("bake_lod", "measure_atlas", "view_splats")  # their examples read what another example wrote
 NAMES = public_names("nerfbake.jobs")
 JOBS = [name for name in NAMES if inspect.isfunction(getattr(jobs, name))]
 ORDER = [*(name for name in JOBS if name not in LAST), *LAST]
