@@ -111,6 +111,8 @@ def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:
     """Return which cells (n,) around these centres may touch the camera's frustum. The lens counts as a pinhole."""
     along = rotate(centre - camera.pose[:3, 3], np.ascontiguousarray(camera.pose[:3, :3].T))
     depth, reach = -along[:, 2], 0.87 * np.asarray(width)  # half a cell's diagonal
+    if camera.lens is not None and camera.lens.all_round:
+        return np.ones(len(centre), bool)
     inside = depth > -reach
     for axis, middle, edge, focal in (0, camera.cx, camera.width, camera.fx), (1, camera.cy, camera.height, camera.fy):
         # Picture rows count downwards, so that both sides of the frustum are within +-far.
@@ -120,12 +122,26 @@ def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:
 
 
 def inner_cube_of(cameras: Cameras) -> Points:
-    """Return a cube (2, 3) around the point that the cameras look at, as wide as they are away from it."""
+    """Return a cube (2, 3) around the point that the cameras look at, as wide as they are away from it.
+
+    Around cameras whose pictures show all directions, if there are any.
+    """
     eyes = cameras.eyes
+    if any(camera.lens is not None and camera.lens.all_round for camera in cameras.cameras):
+        return _cube_around(eyes)
     spread = float(np.sqrt(np.square(eyes - eyes.mean(axis=0)).sum(axis=1).max()))
     ahead = (eyes + spread * cameras.axes).mean(axis=0)  # where cameras with parallel axes look at
     centre = cameras.looked_at(towards=ahead, pull=1e-2 * len(eyes))
     half = _median_distance(eyes, centre) / 2
+    if not half > 0:
+        raise InvalidScene(Problem("the cameras", "are all at the same place", "two places or more, or `box`"))
+    return np.stack([centre - half, centre + half])
+
+
+def _cube_around(eyes: Points) -> Points:
+    """Return a cube (2, 3) around cameras that look to all sides, half as wide again as they are spread."""
+    centre = (eyes.min(axis=0) + eyes.max(axis=0)) / 2
+    half = 1.5 * float(np.sqrt(np.square(eyes - centre).sum(axis=1).max()))
     if not half > 0:
         raise InvalidScene(Problem("the cameras", "are all at the same place", "two places or more, or `box`"))
     return np.stack([centre - half, centre + half])

@@ -143,8 +143,9 @@ def _lens(camera: Camera) -> str:
     assert camera.lens is not None
     k = ", ".join(f"k{i} {value:g}" for i, value in enumerate(camera.lens.k, start=1) if value)
     p = ", ".join(f"p{i} {value:g}" for i, value in enumerate(camera.lens.p, start=1) if value)
+    s = ", ".join(f"s{i} {value:g}" for i, value in enumerate(camera.lens.prism, start=1) if value)
     skew = f"skew {camera.lens.skew:g}" if camera.lens.skew else ""
-    parts = ", ".join(part for part in (k, p, skew) if part)
+    parts = ", ".join(part for part in (k, p, s, skew) if part)
     return f"{camera.lens.model} ({parts})" if parts else camera.lens.model
 
 

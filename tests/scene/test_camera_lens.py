@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from nerfbake import Camera, Cameras, load, save
-from nerfbake.errors import InvalidScene
-from nerfbake.scene.lens import Lens
+from nerfbake.errors import InvalidFile, InvalidScene
+from nerfbake.formats.camera.colmap_writer import text_model
+from nerfbake.scene.lens import Lens, all_round
 from tests.support.captures import Rig, rig, write_colmap_binary, write_colmap_text, write_instant_ngp, write_nerfstudio
 from tests.support.reprojection import in_pycolmap
 
@@ -214,6 +215,65 @@ for model, (width, height, parameters, places, looks) in json.load(sys.stdin).it
         assert np.abs(looks[:, :2] / looks[:, 2:] - seen).max() < 1e-12
         assert np.abs(np.array(found) - places).max() < 1e-9
     assert not ours
+
+
+PRISMS = {
+    "THIN_PRISM_FISHEYE": (8.5, 8.0, 6.5, 5.25, 0.03, -0.01, 0.01, -0.02, 0.002, -0.0003, 0.013, -0.007),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (
+        *(8.5, 8.0, 6.5, 5.25, 0.03, -0.01, 0.002, -0.0003, 0.0001, -0.00002),
+        *(0.01, -0.02, 0.013, 0.002, -0.007, -0.001),
+    ),
+    "EQUIRECTANGULAR": (14.0, 10.0),
+}
+
+
+@pytest.mark.slow
+def test_prisms_and_panoramas_are_those_of_pycolmap(tmp_path: Path) -> None:
+    """Its own projection of our rays is at the pixels, to 1e-9; and what is written is the same model."""
+    made = rig(odd=False)
+    sent, places = {}, np.array([[x + 0.5, y + 0.5] for y in range(made.height) for x in range(made.width)])
+    for model, parameters in PRISMS.items():
+        read = load(write_colmap_text(tmp_path / model, made, model, parameters), Cameras)
+        camera = read.cameras[0]
+        own = camera.rays()[1] @ camera.pose[:3, :3] * [1, -1, -1]
+        sent[model] = [made.width, made.height, list(parameters), places.tolist(), own.tolist()]
+        again = dict(text_model(read))["cameras.txt"]
+        assert next(iter(again)).split()[1:] == f"{model} 14 10 {' '.join(map(repr, parameters))}".encode().split()
+    code = """
+import json, sys, numpy as np, pycolmap
+for model, (width, height, parameters, places, looks) in json.load(sys.stdin).items():
+    camera = pycolmap.Camera(model=model, width=width, height=height, params=parameters)
+    print(json.dumps([model, camera.img_from_cam(np.array(looks), check_cheirality=False).tolist()]))
+"""
+    for line in in_pycolmap(code, sent).splitlines():
+        model, found = json.loads(line)
+        away = np.abs(np.array(found) - places)
+        assert away.max() < 1e-9, model
+        del sent[model]
+    assert not sent
+
+
+def test_a_panorama_looks_to_all_sides(tmp_path: Path) -> None:
+    """By hand: eight columns are 45 degrees apart, and four rows 45, from the lower left behind to the right."""
+    focal, centre, lens = all_round(8, 4)
+    camera = Camera(8, 4, focal, np.eye(4), "round", centre, lens)
+    own = camera.rays()[1].reshape(4, 8, 3)
+    east, up = np.radians(-157.5 + 45 * np.arange(8)), np.radians(67.5 - 45 * np.arange(4))
+    assert_allclose(own[..., 1], np.broadcast_to(np.sin(up)[:, None], (4, 8)), atol=1e-15)
+    assert_allclose(own[..., 0], np.cos(up)[:, None] * np.sin(east), atol=1e-15)
+    assert_allclose(own[..., 2], -np.cos(up)[:, None] * np.cos(east), atol=1e-15)
+    save(tmp_path / "round.json", Cameras((camera,)))
+    fields = json.loads((tmp_path / "round.json").read_text())
+    assert fields["camera_model"] == "EQUIRECTANGULAR"
+    assert fields["fl_x"] == pytest.approx(4)  # nerfstudio's: the height
+    assert_allclose(load(tmp_path / "round.json", Cameras).cameras[0].rays()[1].reshape(4, 8, 3), own, atol=1e-15)
+    del fields["fl_x"], fields["fl_y"]
+    (tmp_path / "round.json").write_text(json.dumps(fields))
+    assert_allclose(load(tmp_path / "round.json", Cameras).cameras[0].rays()[1].reshape(4, 8, 3), own, atol=1e-15)
+    fields["k1"] = 0.1
+    (tmp_path / "round.json").write_text(json.dumps(fields))
+    with pytest.raises(InvalidFile, match=r"k1 is 0\.1; allowed: 0 for EQUIRECTANGULAR"):
+        load(tmp_path / "round.json", Cameras)
 
 
 def test_pixels_that_a_formula_does_not_reach_are_not_fine() -> None:

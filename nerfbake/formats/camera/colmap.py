@@ -40,7 +40,7 @@ from nerfbake.formats.camera.turns import pose_shifted, turn_of_quaternion
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import MAX_WORLD
 from nerfbake.scene.camera import Camera, Cameras
-from nerfbake.scene.lens import Lens, LensModel
+from nerfbake.scene.lens import Lens, LensModel, all_round
 
 # COLMAP's model number: name, number of parameters.
 MODELS = {
@@ -271,13 +271,15 @@ _KINDS = ("bin", "txt")  # in order of preference, as in COLMAP
 class _Layout(NamedTuple):
     """The order of a model's parameters: 1 or 2 focal lengths, cx, cy, then the coefficients of the lens.
 
-    lens: None for a pinhole; k, p: indices of k1, k2, ... and of p1, p2
+    Without a focal length, the parameters are the width and the height of a picture of all directions.
+    lens: None for a pinhole; k, p, prism: indices of k1, k2, ..., of p1, p2, and of s1, s3 or of s1, s2, s3, s4
     """
 
     focals: int
     lens: LensModel | None = None
     k: tuple[int, ...] = ()
     p: tuple[int, int] | None = None
+    prism: tuple[int, ...] = ()
 
 
 LAYOUTS = {
@@ -296,6 +298,9 @@ LAYOUTS = {
     "SIMPLE_DIVISION": _Layout(1, "division", (3,)),
     "DIVISION": _Layout(2, "division", (4,)),
     "EUCM": _Layout(2, "eucm", (4, 5)),
+    "THIN_PRISM_FISHEYE": _Layout(2, "thin_prism", (4, 5, 8, 9), (6, 7), (10, 11)),
+    "RAD_TAN_THIN_PRISM_FISHEYE": _Layout(2, "prisms", (4, 5, 6, 7, 8, 9), (11, 10), (12, 13, 14, 15)),
+    "EQUIRECTANGULAR": _Layout(0, "equirectangular"),
 }
 
 
@@ -368,8 +373,6 @@ def _camera(shot: ColmapImage, name: str, models: dict[int, ColmapCamera]) -> Ca
     if shot.model not in models:
         raise InvalidFile(Problem(f"image {name}", f"was taken by camera {shot.model}", "a camera of the model"))
     model = models[shot.model]
-    if model.name not in LAYOUTS:
-        raise InvalidFile(Problem(f"camera {shot.model}", f"has the model {model.name}", ", ".join(LAYOUTS)))
     if not (model.width <= MAX_EDGE and model.height <= MAX_EDGE):
         found = f"has {model.width:,}x{model.height:,} pixels"
         raise InvalidFile(Problem(f"camera {shot.model}", found, f"up to {MAX_EDGE:,} per edge"))
@@ -380,12 +383,18 @@ def _camera(shot: ColmapImage, name: str, models: dict[int, ColmapCamera]) -> Ca
 
 
 def intrinsics_of(model: ColmapCamera) -> tuple[tuple[float, float], tuple[float, float], Lens | None]:
-    """Return focal lengths, principal point and lens of a model of LAYOUTS, from all of its parameters."""
+    """Return focal lengths, principal point and lens of a model, from all of its parameters."""
     layout, values = LAYOUTS[model.name], model.parameters
+    if not layout.focals:
+        return all_round(*values)
     lens = None
     if layout.lens:
         p = (0.0, 0.0) if layout.p is None else (values[layout.p[0]], values[layout.p[1]])
-        lens = Lens(layout.lens, tuple(values[i] for i in layout.k), p)
+        prism = [values[i] for i in layout.prism]
+        if len(prism) == 2:
+            prism = [prism[0], 0.0, prism[1], 0.0]
+        s1, s2, s3, s4 = prism or (0.0,) * 4
+        lens = Lens(layout.lens, tuple(values[i] for i in layout.k), p, prism=(s1, s2, s3, s4))
     cx, cy = values[layout.focals : layout.focals + 2]
     return (values[0], values[layout.focals - 1]), (cx, cy), lens
 

@@ -12,7 +12,7 @@ from nerfbake.formats.camera.capture import opengl
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import rotate
 from nerfbake.scene.camera import Camera, Cameras
-from nerfbake.scene.lens import Lens
+from nerfbake.scene.lens import Lens, all_round
 
 _PICTURES = "images/"
 _CLOSED = {"fov": ("FOV", 1), "division": ("DIVISION", 1), "eucm": ("EUCM", 2)}  # the model, and its coefficients
@@ -49,6 +49,14 @@ def _intrinsics(camera: Camera) -> _Intrinsics:
     k = (*lens.k, *[0.0] * (6 - len(lens.k)))
     if lens.model == "fisheye":
         return _Intrinsics("OPENCV_FISHEYE", camera.width, camera.height, (*pinhole, *k[:4]))
+    if lens.all_round:
+        return _Intrinsics("EQUIRECTANGULAR", camera.width, camera.height, _all_round(camera))
+    if lens.model == "thin_prism":
+        values = (*pinhole, *k[:2], *lens.p, *k[2:4], lens.prism[0], lens.prism[2])
+        return _Intrinsics("THIN_PRISM_FISHEYE", camera.width, camera.height, values)
+    if lens.model == "prisms":
+        values = (*pinhole, *k, lens.p[1], lens.p[0], *lens.prism)
+        return _Intrinsics("RAD_TAN_THIN_PRISM_FISHEYE", camera.width, camera.height, values)
     if lens.model in _CLOSED:
         name, count = _CLOSED[lens.model]
         return _Intrinsics(name, camera.width, camera.height, (*pinhole, *k[:count]))
@@ -60,6 +68,17 @@ def _intrinsics(camera: Camera) -> _Intrinsics:
     if any(lens.k) or any(lens.p):
         return _Intrinsics("OPENCV", camera.width, camera.height, (*pinhole, *k[:2], *lens.p))
     return _Intrinsics("PINHOLE", camera.width, camera.height, pinhole)
+
+
+def _all_round(camera: Camera) -> tuple[float, ...]:
+    """Width and height of the picture of all directions. Raises InvalidScene for a part of one."""
+    size = float(camera.width), float(camera.height)
+    focal, centre, _ = all_round(*size)
+    away = np.abs(np.array([camera.fx, camera.fy, camera.cx, camera.cy]) / np.array([*focal, *centre]) - 1)
+    if away.max() > 1e-9:
+        allowed = "a picture of all directions: COLMAP has no parts of one"
+        raise InvalidScene(Problem(f"camera {camera.name}", "shows a part of the sphere", allowed))
+    return size
 
 
 def _images(cameras: Cameras, numbers: list[int]) -> Iterator[bytes]:

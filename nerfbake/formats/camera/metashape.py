@@ -10,7 +10,9 @@ A camera's matrix is camera to chunk in OpenCV's axes. The transform of its comp
 chunk to the world: X = scale rotation X_chunk + translation. The world is ECEF metres if the chunk has geographic
 coordinates. The principal point is relative to the middle of the picture; fx = f + b1, fy = f, b2 is the skew in
 pixels; p1 and p2 are OpenCV's p2 and p1. A rolling shutter moves the camera by rotation and translation from the middle
-row to the last one, and back to the first; rays have one pose each, so the pose of the middle row is read.
+row to the last one, and back to the first; rays have one pose each, so the pose of the middle row is read. A spherical
+sensor shows all directions: u = w / 2 + f atan2(x, z), v = h / 2 + f atan2(y, sqrt(x^2 + z^2)), f = w / 2 pi. This is
+the formula of the manual's appendix on camera models; no real panorama was checked, and a note says so.
 Source: checked against Agisoft's own project() to 1e-11 pixels, and against RTK positions to 2 cm.
 """
 
@@ -32,10 +34,11 @@ from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import compose, rotate
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.camera import Cameras
-from nerfbake.scene.lens import Lens
+from nerfbake.scene.lens import Lens, all_round
 
 _NUMBERS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
-_READ = ("frame",)  # types of sensors; a fisheye's polynomial was not verified
+_READ = ("frame", "spherical")  # types of sensors; a fisheye's polynomial was not verified
+_UNCHECKED = "warning: spherical cameras are read by the manual of Metashape; no real one was checked"
 _MOST_CHUNKS = 50  # of a project that are looked for
 _MARKS = (b"<document", b"<chunk")
 
@@ -130,7 +133,7 @@ class _Chunk:
             posed.append(Posed(label, self._album.find(label), pose, *sensor))
             if (rolling := camera.first("rolling_shutter", "rotation")) is not None:
                 moved.append(_rolled(numbers_in(rolling.text, f"{place}: rolling_shutter", 9), sensor))
-        notes = []
+        notes = [_UNCHECKED] if any(each.lens and each.lens.all_round for each in posed) else []
         if left:
             notes.append(f"{plural(left, 'camera')} of {len(posed) + left:,} not aligned, and left out")
         if slaves:
@@ -186,17 +189,19 @@ def _world(transform: XmlElement | None, place: str) -> _World:
 def _sensor(sensor: XmlElement, place: str) -> _Sensor:
     kind = sensor.attributes.get("type", "frame")
     if kind not in _READ:
-        raise InvalidFile(Problem(place, f"is of the type {kind[:20]}", "frame; other lenses were not verified"))
+        raise InvalidFile(
+            Problem(place, f"is of the type {kind[:20]}", "frame or spherical; other lenses were not verified")
+        )
     known = {each.attributes.get("class", ""): each for each in sensor.all("calibration")}
+    if kind == "spherical":
+        resolution = next(sensor.below("resolution"), None)
+        size = _size(resolution, place)
+        return _Sensor(size, *all_round(*size))
     found = known.get("adjusted") or known.get("initial") or next(iter(known.values()), None)
     if found is None:
         raise InvalidFile(Problem(place, "has no calibration", "an adjusted one, or an initial one"))
     resolution = found.first("resolution") or sensor.first("resolution")
-    edges = {} if resolution is None else resolution.attributes
-    size = [
-        edge_of(numbers_in(edges.get(key, ""), f"{place}: {key}", 1)[0], f"{place}: {key}")
-        for key in ("width", "height")
-    ]
+    size = _size(resolution, place)
     value = dict.fromkeys(_NUMBERS, 0.0)
     for key in _NUMBERS:
         if (element := found.first(key)) is not None:
@@ -206,7 +211,16 @@ def _sensor(sensor: XmlElement, place: str) -> _Sensor:
         raise InvalidFile(Problem(place, f"has the focal length {min(fx, fy):g}", "a number of pixels above 0"))
     k = tuple(value[key] for key in ("k1", "k2", "k3", "k4"))
     lens = Lens("polynomial", k, (value["p2"], value["p1"]), value["b2"] / fx)
-    return _Sensor((size[0], size[1]), (fx, fy), (size[0] / 2 + value["cx"], size[1] / 2 + value["cy"]), lens)
+    return _Sensor(size, (fx, fy), (size[0] / 2 + value["cx"], size[1] / 2 + value["cy"]), lens)
+
+
+def _size(resolution: XmlElement | None, place: str) -> Size:
+    edges = {} if resolution is None else resolution.attributes
+    width, height = (
+        edge_of(numbers_in(edges.get(key, ""), f"{place}: {key}", 1)[0], f"{place}: {key}")
+        for key in ("width", "height")
+    )
+    return width, height
 
 
 def _rolled(rotation: Sequence[float], sensor: _Sensor) -> float:

@@ -44,7 +44,7 @@ from nerfbake.formats.wire.json import key_place, kind_of, number, parse_object,
 from nerfbake.kernels.maths.elementary import arctan, tangent
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.camera import FOCAL_LENGTHS, MAX_SAMPLES, Camera, Cameras
-from nerfbake.scene.lens import Lens, LensModel
+from nerfbake.scene.lens import Lens, LensModel, all_round
 from nerfbake.scene.world import EarthPlace, World
 
 # nerfstudio's names of COLMAP's models, with the lens model of k1, k2, ...
@@ -52,8 +52,14 @@ _MODELS: dict[str, LensModel] = {
     **dict.fromkeys(("SIMPLE_PINHOLE", "PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"), "polynomial"),
     "FULL_OPENCV": "rational",
     **dict.fromkeys(("FISHEYE", "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
+    "EQUIRECTANGULAR": "equirectangular",
 }
-_WRITTEN = {"polynomial": "OPENCV", "rational": "FULL_OPENCV", "fisheye": "OPENCV_FISHEYE"}
+_WRITTEN = {
+    "polynomial": "OPENCV",
+    "rational": "FULL_OPENCV",
+    "fisheye": "OPENCV_FISHEYE",
+    "equirectangular": "EQUIRECTANGULAR",
+}
 _K = ("k1", "k2", "k3", "k4", "k5", "k6")
 _P = ("p1", "p2")
 _LIST = ("k1", "k2", "k3", "k4", "p1", "p2")  # nerfstudio's order
@@ -76,6 +82,10 @@ def lens_of(fields: Mapping[str, Any], where: str) -> Lens | None:
             Problem(key_place(where, "k4"), f"is {values['k4']:g}", "0, or a camera_model that defines its meaning")
         )
     model = model or "polynomial"
+    if model == "equirectangular":
+        if bent := next((key for key, value in values.items() if value), ""):
+            raise InvalidFile(Problem(key_place(where, bent), f"is {values[bent]:g}", "0 for EQUIRECTANGULAR"))
+        return Lens(model)
     for key in ("k5", "k6") if model != "rational" else ():
         if values.get(key, 0) != 0:
             raise InvalidFile(Problem(key_place(where, key), f"is {values[key]:g}", "0, or camera_model FULL_OPENCV"))
@@ -96,6 +106,8 @@ def lens_fields(lens: Lens | None) -> dict[str, Any]:
     """Return the fields that lens_of() reads. instant-ngp reads is_fisheye, k1, ...; nerfstudio also camera_model."""
     if lens is None:
         return {}
+    if lens.all_round:
+        return {"camera_model": _WRITTEN[lens.model]}
     if lens.model not in _WRITTEN:
         raise InvalidScene(Problem("the lens", f"is {lens.model}, which nerfstudio does not have", ", ".join(_WRITTEN)))
     k = dict(zip(_K, (*lens.k, *[0.0] * (4 - len(lens.k))), strict=False))
@@ -288,7 +300,8 @@ def _fields(camera: Camera) -> dict[str, Any]:
     middle = camera.width / 2, camera.height / 2
     if camera.lens is None and (camera.cx, camera.cy) == middle and camera.fx == camera.fy:
         fields["camera_angle_x"] = float(2 * arctan(0.5 * camera.width / camera.fx))
-    fields |= {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy}
+    unit = np.pi if camera.lens is not None and camera.lens.all_round else 1.0
+    fields |= {"w": camera.width, "h": camera.height, "fl_x": unit * camera.fx, "fl_y": unit * camera.fy}
     return fields | {"cx": camera.cx, "cy": camera.cy} | lens_fields(camera.lens)
 
 
@@ -317,13 +330,16 @@ def _intrinsics(own: Fields, shared: Fields, size: Size | None, where: str) -> I
         _pixels(both, key, default if size or guessed else None, where)
         for key, default in zip("wh", defaults, strict=True)
     )
+    lens = lens_of(both, where)
     found = _focal(own, width, height, where) or _focal(shared, width, height, "")
+    if lens is not None and lens.all_round:
+        # nerfstudio's focal length is that of half a turn: the height of the picture, or half of its width.
+        found = all_round(width, height)[0] if found is None else (found[0] / np.pi, found[1] / np.pi)
     if found is None:
         raise InvalidFile(Problem(key_place(where, "camera_angle_x"), "is missing", "camera_angle_x, fl_x or x_fov"))
     centre = None
     if {"cx", "cy"} & both.keys():
         centre = number(both, "cx", where, default=width / 2), number(both, "cy", where, default=height / 2)
-    lens = lens_of(both, where)
     return {"width": width, "height": height, "focal": found, "centre": centre, "lens": lens}
 
 

@@ -1,12 +1,12 @@
 """Polynomial lens distortion and its inverse, on the plane one unit in front of the camera.
 
     s = x^2 + y^2                              scale = (1 + n1 s + n2 s^2 + ...) / (1 + d1 s + d2 s^2 + ...)
-    x' = x scale + 2 p1 x y + p2 (s + 2 x^2)
-    y' = y scale + p1 (s + 2 y^2) + 2 p2 x y   y points down, as in OpenCV
+    x' = x scale + 2 p1 x y + p2 (s + 2 x^2) + s1 s + s2 s^2
+    y' = y scale + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2   y points down, as in OpenCV
 
 Source: Brown, "Close-range camera calibration" (1971), in the form of OpenCV's documentation of calib3d. A fisheye lens
 (Kannala and Brandt, 2006) uses the same formulas in another plane: there the length of (x, y) is the angle from the
-optical axis.
+optical axis. s1 to s4 are thin prisms (Weng, Cohen and Herniou, 1992).
 """
 
 from __future__ import annotations
@@ -26,8 +26,18 @@ _ENTRIES = 4096  # of the table with start values
 _CHUNK = 1 << 14  # points at a time: temporaries stay in a core's cache
 
 
+Prism = tuple[float, float, float, float]
+NO_PRISM = (0.0, 0.0, 0.0, 0.0)
+
+
 def undistort(
-    points: Floats, numerator: Coefficients, denominator: Coefficients, p: tuple[float, float], *, most: float = np.inf
+    points: Floats,
+    numerator: Coefficients,
+    denominator: Coefficients,
+    p: tuple[float, float],
+    prism: Prism = NO_PRISM,
+    *,
+    most: float = np.inf,
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """Return the points (m, 2) that the lens maps to the given ones, and (m,) bool whether each was found.
 
@@ -40,7 +50,7 @@ def undistort(
         start, end = _table(np.sqrt((points**2).sum(axis=1).max(initial=0)), numerator, denominator, most)
         for first in range(0, len(points), _CHUNK):
             some = slice(first, first + _CHUNK)
-            found[some], fine[some] = _solve(points[some], numerator, denominator, p, start, end)
+            found[some], fine[some] = _solve(points[some], numerator, denominator, p, prism, start, end)
     return found, fine
 
 
@@ -59,27 +69,40 @@ def _table(farthest: float, n: Coefficients, d: Coefficients, most: float) -> tu
 
 
 def _solve(
-    points: Floats, n: Coefficients, d: Coefficients, p: tuple[float, float], start: tuple[Floats, Floats], end: float
+    points: Floats,
+    n: Coefficients,
+    d: Coefficients,
+    p: tuple[float, float],
+    prism: Prism,
+    start: tuple[Floats, Floats],
+    end: float,
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
     u, v = points.T
     far = np.sqrt(u * u + v * v)
     grown = np.divide(np.interp(far, *start), far, out=np.ones_like(far), where=far > 0)
     x, y = u * grown, v * grown
     allowed = EXACT * (1 + far)
+    s1, s2, s3, s4 = prism
     for step in range(_STEPS + 1):
         s = x * x + y * y
         scale, slope = _scale(s, n, d)
         a, b = _moved(x, y, s, scale, p)
         a, b = a - u, b - v
-        # The derivatives of (a, b) with respect to x and y; the matrix is symmetric.
+        # The derivatives of (a, b) with respect to x and y; without prisms the matrix is symmetric.
         across = 2 * slope * x * y + 2 * p[0] * x + 2 * p[1] * y
+        xy, yx = across, across
         xx = scale + 2 * slope * x * x + 2 * p[0] * y + 6 * p[1] * x
         yy = scale + 2 * slope * y * y + 6 * p[0] * y + 2 * p[1] * x
-        area = xx * yy - across * across
+        if any(prism):
+            a, b = a + s * (s1 + s2 * s), b + s * (s3 + s4 * s)
+            first, second = s1 + 2 * s2 * s, s3 + 2 * s4 * s
+            xx, xy = xx + 2 * first * x, xy + 2 * first * y
+            yx, yy = yx + 2 * second * x, yy + 2 * second * y
+        area = xx * yy - xy * yx
         away = np.maximum(np.abs(a), np.abs(b))
         if step == _STEPS or not (away > 1e-3 * allowed).any():
             break
-        x, y = x - (yy * a - across * b) / area, y - (xx * b - across * a) / area
+        x, y = x - (yy * a - xy * b) / area, y - (xx * b - yx * a) / area
     fine = (away <= allowed) & (area > 0) & (s <= (end * (1 + 1 / _ENTRIES)) ** 2)
     return np.stack([x, y], axis=1), fine
 

@@ -20,8 +20,8 @@ SHOT = "1 1 0 0 0 0 0 0 1 a.png\n\n"
 
 COLMAP_TEXT = {
     "an unknown model": (MODEL.replace("PINHOLE", "CUBE"), SHOT, "line 1 has model CUBE; allowed: SIMPLE_PINHOLE"),
-    "a model nobody reads": ("1 EQUIRECTANGULAR 4 3 4 3\n", SHOT, "has the model EQUIRECTANGULAR"),
-    "thin prisms": ("1 THIN_PRISM_FISHEYE 4 3 5 5 2 1 0 0 0 0 0 0 0 0\n", SHOT, "has the model THIN_PRISM_FISHEYE"),
+    "a sphere of no size": ("1 EQUIRECTANGULAR 4 3 0 3\n", SHOT, "has focal length 0; allowed: 1e-06"),
+    "thin prisms": ("1 THIN_PRISM_FISHEYE 4 3 5 5 2 1 0 0 0 0 0 0 9e9 0\n", SHOT, "s1 is 9e+09; allowed: -1e+06"),
     "too few parameters": ("1 PINHOLE 4 3 5\n", SHOT, "line 1 has 1 parameters; allowed: 4 for PINHOLE"),
     "a short line": ("1 PINHOLE\n", SHOT, "line 1 has 2 entries; allowed: 5 or more"),
     "no number": (MODEL.replace("1.5", "nan"), SHOT, "line 1 holds a value that is not a number"),

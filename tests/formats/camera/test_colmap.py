@@ -139,19 +139,6 @@ def test_fisheyes_without_coefficients_by_hand(tmp_path: Path) -> None:
         assert_allclose(camera.rays()[1].reshape(3, 4, 3)[1, 3], [np.sin(1), 0, np.cos(1)], atol=1e-12)
 
 
-@pytest.mark.parametrize("number", [10, 11, 17])
-def test_other_models_are_refused_only_if_a_picture_uses_them(number: int, tmp_path: Path) -> None:
-    name, size = colmap.MODELS[number]
-    unused = [PINHOLES[0], (2, number, [1.0] * size), (3, 1, (5, 5, 2, 1.5))]
-    assert names(write_binary(tmp_path / "a", [(1, b"a")], unused)) == ["a"]
-    assert names(write_text(tmp_path / "b", image(1), f"{CAMERA}2 {name} 4 3{' 1' * size}\n")) == ["1"]
-    write_binary(tmp_path / "c", [(1, b"a")], [(1, number, [1.0] * size)])
-    write_text(tmp_path / "d", image(1), f"1 {name} 4 3{' 1' * size}\n")
-    for folder in "cd":
-        with pytest.raises(InvalidFile, match=f"camera 1 has the model {name}; allowed: SIMPLE_PINHOLE, .*, EUCM"):
-            load(tmp_path / folder, Cameras)
-
-
 @pytest.mark.slow
 def test_pycolmap_has_these_models_and_projects_our_rays_to_the_pixels(tmp_path: Path) -> None:
     # In a process of its own: pycolmap and Pillow in one process have aborted with a corrupted heap.

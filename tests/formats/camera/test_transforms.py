@@ -279,7 +279,7 @@ def test_a_byte_order_mark_is_skipped() -> None:
         (capture(w=4, h=3, is_fisheye=True, p1=0.1), "p1, p2 are set for a fisheye lens"),
         (capture(w=4, h=3, is_fisheye=True, camera_model="OPENCV"), "is_fisheye is true"),
         (capture(w=4, h=3, is_fisheye="yes"), "is_fisheye is yes"),
-        (capture(w=4, h=3, camera_model="EQUIRECTANGULAR"), "camera_model is EQUIRECTANGULAR; allowed: SIMPLE_PINHOLE"),
+        (capture(w=4, h=3, camera_model="ORTHOPHOTO"), "camera_model is ORTHOPHOTO; allowed: SIMPLE_PINHOLE"),
         (capture(w=4, h=3, camera_model=["OPENCV"]), "camera_model is a list"),
         (capture(w=4, h=3, distortion_params=[0.1]), "distortion_params is not a list of 6"),
         (capture(w=4, h=3, latlong=True), "latlong is True; allowed: perspective"),
