@@ -187,6 +187,12 @@ def _same_sizes(steps: Steps, place: Path, names: list[str]) -> list[list[str]]:
     with steps.phase(f"reading {len(names)} pictures"):
         for name in progress.each(names):
             groups.setdefault(check_photograph(place / name), []).append(name)
+    round_ones = sum(len(group) for (width, height), group in groups.items() if width == 2 * height)
+    if round_ones:
+        steps.say(
+            f"{place}: warning: {round_ones} of {len(names)} pictures are twice as wide as high; they are used as "
+            "ordinary photographs. Poses of panoramas are not found here, but read from COLMAP, nerfstudio or Metashape"
+        )
     return list(groups.values())
 
 

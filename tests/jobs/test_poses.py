@@ -103,6 +103,14 @@ def test_the_points_are_read_with_the_cameras(found: Found) -> None:
         assert len(points) == found.results[0].points
 
 
+def test_panoramas_are_warned_of(tmp_path: Path) -> None:
+    listener = Listener()
+    for i, size in enumerate(((64, 32), (64, 48), (32, 16))):
+        Pillow.new("RGB", size).save(tmp_path / f"{i}.png")
+    poses._same_sizes(listener, tmp_path, ["0.png", "1.png", "2.png"])
+    assert "warning: 2 of 3 pictures are twice as wide as high" in listener.said[0]
+
+
 @pytest.mark.slow
 def test_the_model_moves_with_the_cameras(found: Found, tmp_path: Path) -> None:
     """Both outputs are in metres, and the points are still where the pictures show them."""

@@ -14,6 +14,7 @@ from nerfbake import Camera, Cameras, load
 from nerfbake.errors import NerfbakeError
 from nerfbake.formats.camera import realitycapture_csv, turns
 from nerfbake.formats.camera.colmap_writer import quaternion_of
+from nerfbake.scene.lens import Lens
 from tests.support import camera_tools as tools
 from tests.support.camera_tools import placed
 from tests.support.captures import Rig, rig, write_pictures
@@ -70,9 +71,24 @@ def test_equal_labels_of_two_cards_get_no_picture(made: Rig, tmp_path: Path) -> 
 
 def test_other_sensors_of_metashape_are_refused(made: Rig, tmp_path: Path) -> None:
     file = tmp_path / tools.write_metashape(tmp_path, made)
-    file.write_text(file.read_text().replace('label="rig" type="frame"', 'label="rig" type="spherical"'))
-    with pytest.raises(NerfbakeError, match="sensor 0 is of the type spherical; allowed: frame"):
+    file.write_text(file.read_text().replace('label="rig" type="frame"', 'label="rig" type="fisheye"'))
+    with pytest.raises(NerfbakeError, match="sensor 0 is of the type fisheye; allowed: frame or spherical"):
         load(file, Cameras)
+
+
+def test_a_spherical_sensor_of_metashape_sees_all_round(made: Rig, tmp_path: Path) -> None:
+    """The first pixel is behind the camera, and above it; the middle of the picture is ahead."""
+    file = tmp_path / tools.write_metashape(tmp_path, made)
+    file.write_text(file.read_text().replace('label="rig" type="frame"', 'label="rig" type="spherical"'))
+    read = load(file, Cameras)
+    camera = read.cameras[0]
+    assert camera.lens == Lens("equirectangular")
+    assert (camera.fx, camera.cx, camera.cy) == (made.width / (2 * np.pi), made.width / 2, made.height / 2)
+    assert camera.fy == made.height / np.pi
+    own = camera.rays()[1] @ camera.pose[:3, :3]
+    assert own[0, 1] > 0.9
+    assert own[0, 2] > 0
+    assert "warning: spherical cameras are read by the manual of Metashape" in read.notes[0]
 
 
 def test_the_heading_of_realitycapture_turns_clockwise() -> None:
