@@ -97,9 +97,10 @@ class Dialect(NamedTuple):
     title: str  # the tool, as `Cameras.dialect`
     module: str  # in `formats`: implements contract.CameraDialect
     endings: tuple[str, ...]  # of the file's name; '' for any
-    places: tuple[str, ...] = ("",)  # subfolders of a capture in which the file may be
+    places: tuple[str, ...] = ("",)  # subfolders of a capture in which the file may be; (): only read if it is named
     needs: tuple[str, ...] = ()  # one of these files of the capture is needed, too, if it is not empty
     is_many: bool = False  # all files of this kind in a folder are read together
+    is_shared: bool = False  # such files hold other scenes, too, and are cameras only where these are wanted
     scene: str = "Cameras"
     written_as: str = ""  # value of --to, if the module has encode()
 
@@ -207,6 +208,7 @@ FOLDERS = (
 # folder of FOLDERS comes before them. Their contents are recognised, not only their names.
 _TEXT = (".txt",)
 _INTRINSICS = ("intrinsics.txt", "calib.txt")
+_EUROC = ("mav0/state_groundtruth_estimate0", "state_groundtruth_estimate0")
 DIALECTS = (
     Dialect("Metashape", "camera.metashape", (".xml", ".psx")),
     Dialect("RealityCapture", "camera.realitycapture_xmp", (".xmp",), ("", "images"), is_many=True),
@@ -234,6 +236,8 @@ DIALECTS = (
     Dialect("Open3D", "camera.open3d", (".log",), needs=_INTRINSICS),
     Dialect("Open3D", "camera.open3d_json", (".json",)),
     Dialect("kapture", "camera.kapture", ("sensors.txt",), ("sensors", "")),
+    Dialect("EuRoC", "camera.euroc", ("data.csv",), _EUROC),
+    Dialect("glTF", "camera.gltf", (".glb", ".gltf"), (), is_shared=True),
 )
 _MOST_HEADS = 50  # files of a subfolder whose beginnings are read to recognise a dialect
 

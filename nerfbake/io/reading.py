@@ -93,7 +93,7 @@ def load_with_format(
                 found = _decode_folder(Path(source), kinds)
             elif member and Path(source).is_file():
                 found = _decode_member(Path(source), member, kinds)
-            elif (tool := _tool_of(source)) is not None:
+            elif (tool := _tool_of(source, kinds)) is not None:
                 found = _decode_tool(Path(source), tool, kinds)
             else:
                 found = _decode_file(source, kinds, examined)
@@ -209,13 +209,22 @@ def _folder_form(files: Folder, *wanted: str) -> tuple[FolderKind | Dialect, str
         raise
 
 
-def _tool_of(source: str | Path) -> Dialect | None:
-    """Return the tool whose cameras a file holds; None for any other file, for a stream and for a pipe."""
+def _tool_of(source: str | Path, kinds: tuple[type[Any], ...]) -> Dialect | None:
+    """Return the tool whose cameras a file holds; None for any other file, for a stream and for a pipe.
+
+    A scene that also has meshes is one of cameras only if nothing else is wanted.
+    """
     path = Path(source)
     if str(source) == STREAM or not path.is_file():
         return None
     with path.open("rb") as file:
-        return dialect_of(path.name, file.read(HEAD_CAMERAS))
+        head = file.read(HEAD_CAMERAS)
+    form = dialect_of(path.name, head)
+    if form is None or not form.is_shared:
+        return form
+    wanted = {kind.__name__ for kind in kinds}
+    alone = wanted == {"Cameras"} or (not wanted - {"Cameras"} and b'"mesh' not in head)
+    return form if alone else None
 
 
 def _decode_tool(path: Path, form: Dialect, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:

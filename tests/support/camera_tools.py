@@ -383,6 +383,53 @@ def write_kapture(folder: Path, made: Rig) -> str:
 
 
 # By the module of the reader: how it is written, and whether it keeps two focal lengths and a principal point.
+BODY = np.array([[0.0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]])  # EuRoC's T_BS
+
+
+def write_euroc(folder: Path, made: Rig) -> str:
+    """The body is where the camera is not; the last row of the ground truth belongs to no picture."""
+    write_pictures(folder / "mav0" / "cam0" / "data", made)
+    rows, shots = ["#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], ..."], ["#t,filename"]
+    for i, (name, pose) in enumerate(zip(made.names, made.poses, strict=True)):
+        body = camera_to_world(pose) @ np.linalg.inv(BODY)
+        time = 1403636579763555584 + i * 50_000_000
+        rows.append(
+            ",".join([str(time + 2_000_000), *map(repr, map(float, [*body[:3, 3], *quaternion(body[:3, :3])]))])
+        )
+        shots.append(f"{time},{name}.png")
+    rows.append("1403636999000000000,0,0,0,1,0,0,0")
+    data = ", ".join(repr(float(value)) for value in BODY.ravel())
+    sensor = f"""#Default camera sensor yaml file
+sensor_type: camera
+T_BS:
+  cols: 4
+  rows: 4
+  data: [{data}]
+resolution: [{made.width}, {made.height}]
+camera_model: pinhole
+intrinsics: [{made.fx!r}, {made.fy!r}, {made.cx!r}, {made.cy!r}]
+distortion_model: radial-tangential
+distortion_coefficients: [0.0, 0.0, 0.0, 0.0]
+"""
+    placed(folder, "mav0/cam0/sensor.yaml", sensor)
+    placed(folder, "mav0/cam0/data.csv", "\n".join(shots) + "\n")
+    return placed(folder, "mav0/state_groundtruth_estimate0/data.csv", "\n".join(rows) + "\n")
+
+
+def write_gltf(folder: Path, made: Rig) -> str:
+    """Cameras below a node that turns, and one without a node."""
+    above = np.eye(4)
+    above[:3, :3], above[:3, 3] = TURN, SHIFT
+    nodes: list[dict[str, Any]] = [{"children": [1, 2, 3], "matrix": above.T.ravel().tolist()}]
+    for name, pose in zip(made.names, made.poses, strict=True):
+        inside = np.linalg.inv(above) @ pose
+        nodes.append({"name": name, "camera": 0, "matrix": inside.T.ravel().tolist()})
+    optics = {"yfov": 2 * math.atan(made.height / 2 / made.fy), "aspectRatio": made.width / made.height, "znear": 0.1}
+    document = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes}
+    document["cameras"] = [{"type": "perspective", "perspective": optics}]
+    return placed(folder, "scene.gltf", json.dumps(document))
+
+
 TOOLS: dict[str, tuple[Writer, str]] = {
     "metashape": (write_metashape, "all"),
     "realitycapture_xmp": (write_realitycapture, "centre"),
@@ -404,6 +451,8 @@ TOOLS: dict[str, tuple[Writer, str]] = {
     "open3d": (write_open3d, "all"),
     "open3d_json": (write_open3d_json, "all"),
     "kapture": (write_kapture, "all"),
+    "euroc": (write_euroc, "all"),
+    "gltf": (write_gltf, ""),
 }
 
 

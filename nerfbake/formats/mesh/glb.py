@@ -95,6 +95,11 @@ def _meshes_of(document: Document) -> Meshes:
 
 def placed_meshes(document: Document) -> Iterator[tuple[int, Any, Floats]]:
     """Yield each node of the scene that has a mesh, the mesh, and its transform to the scene."""
+    return placed_nodes(document, "mesh")
+
+
+def placed_nodes(document: Document, key: Literal["mesh", "camera"]) -> Iterator[tuple[int, Any, Floats]]:
+    """Yield each node of the scene that has this key, its value, and the transform (4, 4) of the node to the scene."""
     nodes = list_of(document.root, "nodes", "JSON")
     if len(nodes) > MAX_NODES:
         raise malformed("nodes", f"are {len(nodes):,}", f"{MAX_NODES:,} at most")
@@ -116,8 +121,8 @@ def placed_meshes(document: Document) -> Iterator[tuple[int, Any, Floats]]:
         if not _MOVES.isdisjoint(node):
             with np.errstate(over="ignore", invalid="ignore"):
                 matrix = compose(above, _matrix(node, f"nodes[{index}]"))
-        if "mesh" in node:
-            yield index, node["mesh"], matrix
+        if key in node:
+            yield index, node[key], matrix
         waiting += [(child, matrix) for child in reversed(children[index])]
 
 

@@ -297,3 +297,49 @@ def test_a_model_that_is_written_has_its_points_where_they_were(tmp_path: Path, 
     seen = (tools.POINT - camera.pose[:3, 3]) @ camera.pose[:3, :3] * [1, -1, -1]
     wanted = seen[:2] / seen[2] * camera.fx + [camera.cx, camera.cy]
     assert errors == pytest.approx([float(np.hypot(*(wanted - [4.5, 2.5])))], rel=1e-12)
+
+
+def test_a_scene_with_meshes_is_one_of_cameras_only_if_these_are_wanted(made: Rig, tmp_path: Path) -> None:
+    file = tmp_path / tools.write_gltf(tmp_path, made)
+    document = json.loads(file.read_text())
+    assert isinstance(load(file), Cameras)
+    document["meshes"] = []
+    file.write_text(json.dumps(document))
+    assert load(file, Cameras).dialect == "glTF"
+    with pytest.raises(NerfbakeError, match="no known format"):
+        load(file)
+    document["cameras"][0]["type"] = "orthographic"
+    file.write_text(json.dumps(document))
+    with pytest.raises(NerfbakeError, match="has no node with a perspective camera"):
+        load(file, Cameras)
+
+
+def test_yfov_is_that_of_the_height(made: Rig, tmp_path: Path) -> None:
+    """90 degrees over 800 pixels: a focal length of 400. Without pictures, the size is assumed, and a note says so."""
+    file = tmp_path / tools.write_gltf(tmp_path, made)
+    document = json.loads(file.read_text())
+    document["cameras"][0]["perspective"] = {"yfov": np.pi / 2, "aspectRatio": 1.5, "znear": 0.1}
+    file.write_text(json.dumps(document))
+    read = load(file, Cameras)
+    camera = read.cameras[0]
+    assert (camera.width, camera.height) == (1200, 800)
+    assert (camera.fx, camera.fy) == pytest.approx((400, 400))
+    assert read.notes == ("3 of 3 cameras tell no size of a picture; 800 pixels along the height are assumed",)
+
+
+def test_the_lens_and_the_times_of_euroc(made: Rig, tmp_path: Path) -> None:
+    file = tmp_path / tools.write_euroc(tmp_path, made)
+    sensor = file.parents[1] / "cam0" / "sensor.yaml"
+    text = sensor.read_text().replace("[0.0, 0.0, 0.0, 0.0]", "[-0.28, 0.07, 0.0002, 1.7e-05]")
+    sensor.write_text(text)
+    assert load(file, Cameras).cameras[0].lens == Lens("polynomial", (-0.28, 0.07), (0.0002, 1.7e-05))
+    sensor.write_text(text.replace("radial-tangential", "equidistant"))
+    assert load(tmp_path, Cameras).cameras[0].lens == Lens("fisheye", (-0.28, 0.07, 0.0002, 1.7e-05))
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:2], *lines[3:]]) + "\n")
+    read = load(file, Cameras)
+    assert len(read.cameras) == 2
+    assert read.notes == ("1 picture without a pose within 20 ms left out",)
+    sensor.write_text(text.replace("pinhole", "omni"))
+    with pytest.raises(NerfbakeError, match="is of the model omni with the distortion radial-tangential; allowed"):
+        load(file, Cameras)

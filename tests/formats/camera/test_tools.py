@@ -15,7 +15,7 @@ from tests.support import camera_tools
 from tests.support.camera_tools import TOOLS, kept_by
 from tests.support.captures import Rig, rig, write_nerfstudio, write_pictures
 
-OWN_PICTURES = {"polycam", "record3d", "neus", "seven_scenes", "kapture"}
+OWN_PICTURES = {"polycam", "record3d", "neus", "seven_scenes", "kapture", "euroc"}
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +38,9 @@ def test_every_line_of_the_catalog_is_written_here() -> None:
 @pytest.mark.parametrize("tool", TOOLS)
 def test_the_rays_of_a_tool_are_those_of_its_rig(tool: str, made: Rig, tmp_path: Path) -> None:
     file, kept = written(tool, tmp_path, made)
-    title = next(form.title for form in catalog.DIALECTS if form.name == tool)
-    for source in (tmp_path / file, tmp_path):
+    form = next(form for form in catalog.DIALECTS if form.name == tool)
+    title = form.title
+    for source in (tmp_path / file, tmp_path)[: 2 if form.places else 1]:
         read = load(source, Cameras)
         assert read.dialect == title
         assert not [note for note in read.notes if "checked" not in note and "left out" not in note]

@@ -19,8 +19,18 @@ from tests.support.camera_tools import TOOLS, kept_by, placed
 from tests.support.captures import Rig, rig, write_pictures
 
 XML = ("metashape", "realitycapture_xmp")
-JSON = ("gaussian_cameras", "polycam", "record3d", "opensfm", "opendronemap", "meshroom", "openmvg", "open3d_json")
-TEXT = ("realitycapture_csv", "bundler", "tum", "kitti", "seven_scenes", "mvsnet", "nvm", "open3d", "kapture")
+JSON = (
+    "gaussian_cameras",
+    "polycam",
+    "record3d",
+    "opensfm",
+    "opendronemap",
+    "meshroom",
+    "openmvg",
+    "open3d_json",
+    "gltf",
+)
+TEXT = ("realitycapture_csv", "bundler", "tum", "kitti", "seven_scenes", "mvsnet", "nvm", "open3d", "kapture", "euroc")
 FAST = 2.0  # CPU seconds
 
 
