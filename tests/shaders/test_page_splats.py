@@ -157,7 +157,9 @@ def test_a_coarse_picture_is_nearly_the_fine_one(browser: Browser, some: Drawn) 
         page.wait_until_ready()
         for scale, least in ((0.5, 28), (0.4, 20)):  # from 0.5 all splats are drawn
             edge = int(EDGE * scale)
-            mean = fine.reshape(edge, EDGE // edge, edge, EDGE // edge, 3).mean(axis=(1, 3)) if EDGE % edge == 0 else None
+            mean = (
+                fine.reshape(edge, EDGE // edge, edge, EDGE // edge, 3).mean(axis=(1, 3)) if EDGE % edge == 0 else None
+            )
             found = page.pixels(camera.resized(edge, edge), scale=scale).astype(np.float64)
             truth = mean if mean is not None else wanted(some.splats, camera.resized(edge, edge))
             assert decibels(found, truth) > least
@@ -226,7 +228,9 @@ def test_without_what_it_needs_there_is_a_sentence(browser: Browser, some: Drawn
 
 
 def test_a_worker_that_cannot_run_leaves_a_sentence(browser: Browser, some: Drawn) -> None:
-    with browser.opened(some.path, init="window.Worker = class { constructor() { throw new Error('no worker'); } }") as page:
+    with browser.opened(
+        some.path, init="window.Worker = class { constructor() { throw new Error('no worker'); } }"
+    ) as page:
         page.wait_for("nerfbake.state === 'failed'")
         assert "no worker" in page.status
 
