@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import as_json, budget_options, console_options, seed, stage1_arguments, without_effect
+from nerfbake.cli.params import as_json, console_options, seed, stage1_arguments, surface_budget_options, without_effect
 from nerfbake.console import Console
 from nerfbake.jobs.files import FolderTarget, Stage1Source
 
@@ -76,7 +76,7 @@ from nerfbake.jobs.files import FolderTarget, Stage1Source
     help="Up axis of the mesh. z: the nodes of scene.glb rotate z to y, and Blender rotates it back.",
 )
 @seed
-@budget_options
+@surface_budget_options
 @as_json
 @console_options
 def atlas(source: Stage1Source, target: FolderTarget, as_json: bool, console: Console, **options: Any) -> None:

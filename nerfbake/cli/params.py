@@ -426,20 +426,26 @@ def _check_budget(budget: Budget) -> None:
             without_effect(name, here="without --min-psnr", allowed=f"--{name} with --min-psnr")
 
 
-budget_options = bundled(
-    "budget",
-    "jobs.budgets.Budget",
-    min_psnr,
-    click.option(
-        "--cameras",
-        metavar="CAPTURE",
-        type=Capture(),
-        help=f"Cameras for --min-psnr: {CAPTURE}.  [default: 8 views around IN]",
-    ),
-    samples,
-    device_option,
-    check=_check_budget,
-)
+def _budget_options(*more: Callable[[Command], Command]) -> Callable[[Command], Command]:
+    """Add --min-psnr, --cameras, --samples and more; pass the command `budget`, a Budget."""
+    return bundled(
+        "budget",
+        "jobs.budgets.Budget",
+        min_psnr,
+        click.option(
+            "--cameras",
+            metavar="CAPTURE",
+            type=Capture(),
+            help=f"Cameras for --min-psnr: {CAPTURE}.  [default: 8 views around IN]",
+        ),
+        samples,
+        *more,
+        check=_check_budget,
+    )
+
+
+budget_options = _budget_options(device_option)
+surface_budget_options = _budget_options()  # of commands that render no field
 
 
 def console_options(function: Command) -> Command:
