@@ -19,6 +19,7 @@ from .conversions import convert_file as convert_file
 from .conversions import convert_splats as convert_splats
 from .conversions import split_volume as split_volume
 from .descriptions import describe_file as describe_file
+from .devices import renderer_on as renderer_on
 from .files import FolderTarget as FolderTarget
 from .files import Source as Source
 from .files import Stage1Source as Stage1Source

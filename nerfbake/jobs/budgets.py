@@ -115,7 +115,7 @@ def judge_output(
     from nerfbake.jobs.views import renderable_scene, views_of
     from nerfbake.stages.scenes_to_comparison import compare_scenes
 
-    render = renderer_on(steps, budget.device)
+    render = renderer_on(budget.device, steps=steps)
     seen = renderable_scene(steps, scene, made_from)
     views = views_of(
         steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE, samples=budget.samples, own=True

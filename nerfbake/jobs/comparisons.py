@@ -108,7 +108,7 @@ def compare_files(
     100.0
     """
     pages.require()
-    render = renderer_on(steps, seen.device)
+    render = renderer_on(seen.device, steps=steps)
     first, second = as_source(a), as_source(b)
     if first.path == second.path == io.STREAM:
         raise UsageError("both scenes are stdin, which can be read once; allowed: '-' for one of them")

@@ -125,7 +125,7 @@ def compress_file(
     photographs.require()
     target.require("QuantisedOctree", coding=coding)
     budget.require(target)
-    render = renderer_on(steps, budget.device)
+    render = renderer_on(budget.device, steps=steps)
     reading = Reading(steps, source, functions=functions)
     reading.require()
     octree, held_out = reading.octree(), reading.held_out

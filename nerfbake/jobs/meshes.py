@@ -93,7 +93,7 @@ class MeshViews:
             require_alike(steps, source, field, split.held_out, self.views)
             return split
         with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
-            shown, render = field if splats is None else splats, renderer_on(steps, self.device)
+            shown, render = field if splats is None else splats, renderer_on(self.device, steps=steps)
             return render_split(shown, frames=self.frames, edge=self.edge, samples=SAMPLES, framed=field, render=render)
 
 

@@ -248,7 +248,7 @@ def view_file(
             made = surface_page(steps, source, read.scene, stage1, look)
             file.write(steps, made)
             return made
-        shown = _framed(steps, source, read, mesh, look, renderer_on(steps, device), photographs=photographs)
+        shown = _framed(steps, source, read, mesh, look, renderer_on(device, steps=steps), photographs=photographs)
         if data == "exact" or isinstance(read.scene, Volume):
             made = _exact(steps, source, shown)
         elif read.data is not None and not request.anew:

@@ -202,7 +202,7 @@ def render_views(
     pictures = pictures if isinstance(pictures, PictureOutputs) else PictureOutputs(out=str(pictures))
     shots.require()
     pictures.require(several=shots.several)
-    render = renderer_on(steps, device)
+    render = renderer_on(device, steps=steps)
     field = _read(steps, source, lod, choice, shots.world, alone=mesh is None)
     views = shots.of(steps, field, source.name)
     together = pictures.together(several=shots.several)

@@ -126,7 +126,7 @@ def refit_file(
     source, target = as_source(source), as_target(target)
     reference.require()
     _require(target, no_child)
-    render = renderer_on(steps, device)
+    render = renderer_on(device, steps=steps)
     octree = Reading(steps, source).octree()
     with source.blamed(steps, "preparing"):
         cells = build_bricks(octree)

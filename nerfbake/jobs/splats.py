@@ -79,7 +79,7 @@ class SplatsViews:
             require_alike(steps, source, field, split.held_out, self.views)
             return split
         with source.blamed(steps, f"rendering pictures of {source.name}"):
-            render, framed = renderer_on(steps, self.device), without_strays(field)
+            render, framed = renderer_on(self.device, steps=steps), without_strays(field)
             return render_split(field, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM, render=render)
 
     def split_of(self, steps: Steps, source: Source, splats: Splats, *, fitted: bool) -> SplitViews:

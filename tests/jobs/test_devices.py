@@ -14,7 +14,6 @@ from nerfbake.device.adapters import Adapter
 from nerfbake.errors import UsageError
 from nerfbake.jobs import devices
 from nerfbake.jobs.devices import describe_devices, renderer_on
-from nerfbake.jobs.steps import SILENT
 from nerfbake.stages.renderers import KERNELS
 from tests.support.device import software
 
@@ -35,9 +34,10 @@ def one_card(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_this_machine_has_its_kernels() -> None:
-    assert renderer_on(SILENT, "cpu") is KERNELS
+    assert renderer_on("cpu") is KERNELS
 
 
+@pytest.mark.slow
 def test_a_named_device_renders_what_the_cpu_renders(capsys: pytest.CaptureFixture[str]) -> None:
     name = software()
     for device, out in (("cpu", "cpu"), (name, "device")):

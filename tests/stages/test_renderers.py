@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from nerfbake import (
     Camera,
+    N3Tree,
     RadianceField,
     build_field,
     build_octree,
@@ -19,13 +22,13 @@ from nerfbake import (
     sample_n3tree,
 )
 from nerfbake.device.gpu import Gpu
-from nerfbake.errors import DeviceError, InvalidScene, MemoryLimit, UsageError
+from nerfbake.errors import DeviceError, InvalidScene, MemoryLimit, NerfbakeError, UsageError
 from nerfbake.scene.image import Image
 from nerfbake.scene.lens import Lens
 from nerfbake.stages import _field_on_device
 from nerfbake.stages.renderers import KERNELS, DeviceRenderer
 from tests.support.device import opened
-from tests.support.scenes import n3tree
+from tests.support.scenes import n3tree, n3trees
 
 COLOUR, DEPTH = 1e-4, 1e-5  # largest differences: of colours and alpha, and of depths as shares of the largest
 LEFT = 1e-3  # alpha of pixels with a depth that is compared: the mean of nothing has no digits
@@ -71,6 +74,19 @@ def test_every_basis_is_what_the_cpu_shows(render: DeviceRenderer, told: list[st
     field = build_field(sample_n3tree(resolution=8, basis=basis))
     require_alike(render(field, seen(field)), render_field(field, seen(field)))
     assert [line.split()[0] for line in told] == ["renders"]
+
+
+@settings(max_examples=25)
+@given(n3trees(), st.sampled_from(["nearest", "trilinear"]), st.integers(0, 2))
+def test_random_trees_are_what_the_cpu_shows(gpu: Gpu, tree: N3Tree, lookup: Any, number: int) -> None:
+    try:
+        field = build_field(tree)
+    except NerfbakeError:
+        assume(False)
+    camera = orbit_cameras(field, frames=3, width=9, height=7).cameras[number]
+    found, wanted = (each(field, camera, lookup=lookup) for each in (DeviceRenderer(gpu, lambda _: None), KERNELS))
+    for name in ("colour", "alpha"):
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), atol=COLOUR, rtol=0)
 
 
 def test_a_field_without_harmonics_is_what_the_cpu_shows(render: DeviceRenderer, field: RadianceField) -> None:
