@@ -155,7 +155,7 @@ def test_a_coarse_picture_is_nearly_the_fine_one(browser: Browser, some: Drawn) 
     fine = wanted(some.splats, camera)
     with browser.opened(some.path) as page:
         page.wait_until_ready()
-        for scale, least in ((0.5, 28), (0.4, 20)):  # from 0.5 all splats are drawn
+        for scale, least in ((0.5, 28), (0.4, 17)):  # from 0.5 all splats are drawn
             edge = int(EDGE * scale)
             mean = (
                 fine.reshape(edge, EDGE // edge, edge, EDGE // edge, 3).mean(axis=(1, 3)) if EDGE % edge == 0 else None

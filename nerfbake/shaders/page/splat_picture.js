@@ -9,7 +9,8 @@ const BLUR = 0.3; // added to the variances in a picture of full size, in square
 const SPLATS = 4096; // of an instance, as in splats_vertex.glsl
 const PARTS = 12; // between which pixels are closed
 const HELD = { words: 0, rest: 1, order: 2, first: 3, second: 4, sum: 5 }; // units of the textures
-const THIN = 4; // in a coarse picture, one of so many splats is drawn, which stands for them
+const THIN = 4; // in a coarse picture, one of so many splats is drawn
+const STANDS = 2; // for so many, since they hide each other: 1.4 to 2.8 give the pictures that are most similar
 const COARSE = 0.5; // scale of a picture from which all splats are drawn
 const SORT_WAIT = 1e-7; // views that differ by less, in units of the scene, have the same order
 
@@ -108,7 +109,7 @@ class SplatPicture extends Drawing {
 
   // The same splats are thinned out in every order, so that nothing flickers.
   hold(order, view) {
-    this.thin = { order: order.filter((splat) => splat % THIN === 0), line: this.linesOf(this.facts.splats), times: THIN };
+    this.thin = { order: order.filter((splat) => splat % THIN === 0), line: this.linesOf(this.facts.splats), times: STANDS };
     this.whole = { order, line: 0, times: 1 };
     for (const { order, line } of [this.whole, this.thin]) this.fillOrder(order, line);
     this.sorted = view;
@@ -126,7 +127,7 @@ class SplatPicture extends Drawing {
     return Math.ceil(count / (1 << this.bits));
   }
 
-  // What is drawn: {order, its line in the texture, times: its share of the splats is one in so many}.
+  // What is drawn: {order, its line in the texture, times: the number of splats that each stands for}.
   get list() {
     return this.shot.scale < COARSE ? this.thin : this.whole;
   }
