@@ -144,6 +144,21 @@ def within(name: str) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def without(name: str) -> Iterator[None]:
+    """Remove the name of a file from the place of errors, to which its path is added."""
+    try:
+        yield
+    except NerfbakeError as error:
+        if error.source is None and isinstance(error.what, Problem):
+            place, found, allowed, _ = error.what
+            if place == name:
+                error.what = f"{found}{_ALLOWED}{allowed}"
+            elif place.startswith(f"{name}: "):
+                error.what = error.what._replace(place=place[len(name) + 2 :])
+        raise
+
+
 class InvalidScene(NerfbakeError):
     """Arrays that are not valid for their scene type, or a stage without a result."""
 

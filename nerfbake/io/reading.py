@@ -31,7 +31,7 @@ from nerfbake.catalog import (
     unread_file,
 )
 from nerfbake.contract import HEAD, HEAD_CAMERAS, PICTURES, StorableScene, picture_names
-from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem
+from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, without
 from nerfbake.io.sources import (
     STREAM,
     Folder,
@@ -231,7 +231,9 @@ def _decode_tool(path: Path, form: Dialect, kinds: tuple[type[Kind], ...]) -> Lo
     """Read cameras of another tool from their file. The capture is the folder above, if it is in a subfolder of it."""
     _require_kind(form, kinds)
     root, name = capture_of(path, form)
-    return Loaded(form.load_module().decode(Folder(root, {}), name=name), form, path.stat().st_size, {})
+    with without(name):
+        scene = form.load_module().decode(Folder(root, {}), name=name)
+    return Loaded(scene, form, path.stat().st_size, {})
 
 
 def capture_of(path: Path, form: Dialect) -> tuple[Path, str]:
@@ -274,7 +276,9 @@ def _covers(read: str, name: str) -> bool:
 def _decode_member(path: Path, form: FolderKind, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
     """Read a folder from one of its member files, which cannot be read alone."""
     _require_kind(form, kinds)
-    return Loaded(form.load_module().decode(Folder(path.parent, {}), member=path.name), form, path.stat().st_size, {})
+    with without(path.name):
+        scene = form.load_module().decode(Folder(path.parent, {}), member=path.name)
+    return Loaded(scene, form, path.stat().st_size, {})
 
 
 def _require_kind(form: AnyFormat | Dialect, kinds: tuple[type[Kind], ...]) -> None:

@@ -258,3 +258,26 @@ def test_a_link_in_place_of_a_file_is_no_way_out(made: Rig, tmp_path: Path) -> N
         (camera,) = load(home / placed(home, "cameras.json", json.dumps([fields])), Cameras).cameras
         assert not camera.picture.startswith(("/", ".."))
         assert "outside" not in camera.picture
+
+
+@pytest.mark.parametrize(
+    ("path", "content", "said"),
+    [
+        ("a_cam.txt", "extrinsic\n", "a_cam.txt: has 1 words; allowed: extrinsic"),
+        (
+            "mav0/state_groundtruth_estimate0/data.csv",
+            "#timestamp,p_RS_R_x\n1,2\n",
+            "mav0/state_groundtruth_estimate0/data.csv: line 2 has 2 columns; allowed: 8 or more",
+        ),
+        ("cameras.txt", "1 PINHOLE\n", "cameras.txt: line 1 has 2 entries; allowed: 5 or more"),
+        ("images.txt", "\n", "images.txt: cameras.txt: line 1 has 2 entries; allowed: 5 or more"),
+    ],
+)
+def test_a_file_that_is_given_itself_is_named_once(
+    path: str, content: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    placed(tmp_path, "images.txt", "\n")
+    placed(tmp_path, "cameras.txt", "1 PINHOLE\n")
+    placed(tmp_path, path, content)
+    monkeypatch.chdir(tmp_path)
+    assert refused(Path(path)).startswith(said)
