@@ -58,7 +58,7 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     ),
     "Gaussian splats": (
         nerfbake,
-        "scene.splats scene.splat_levels stages.splats_to_image stages.splats_to_octree stages.field_to_splats"
+        "scene.splats scene.splat_levels scene.scene_variants stages.splats_to_image stages.splats_to_octree stages.field_to_splats"
         " stages.views_to_splats stages.splats_to_loss stages.splats_to_splats stages.splats_to_up",
     ),
     "Baking atlases": (

@@ -28,6 +28,8 @@ from .scene.page import PageSurface as PageSurface
 from .scene.page_splats import PageSplats as PageSplats
 from .scene.quantised_octree import QuantisedOctree as QuantisedOctree
 from .scene.radiance_field import RadianceField as RadianceField
+from .scene.scene_variants import SceneVariant as SceneVariant
+from .scene.scene_variants import SceneVariants as SceneVariants
 from .scene.shipment import Shipment as Shipment
 from .scene.splat_levels import SplatLevels as SplatLevels
 from .scene.splats import Splats as Splats

@@ -119,7 +119,7 @@ class Dialect(NamedTuple):
 AnyFormat = Format | FolderKind
 
 _OCTREE = "SparseVoxelOctree"
-_USD, _PICTURES = "pxr", (".png", ".jpg")
+_USD, _PICTURES, _BESIDE = "pxr", (".png", ".jpg"), (".png", ".vdb")
 
 # Longer extensions come before the extensions they contain. Formats with the same extension are tried in this order.
 FORMATS = (
@@ -173,6 +173,8 @@ FORMATS = (
     Format("usd", "Cameras", ".usd", "camera.usd", "cameras in USD", writable=False, library=_USD),
     Format("usda", "Volume", ".usda", "volume.usda", "USD stage of a .vdb, text", readable=False, spread=(".vdb",)),
     Format("usdc", "Volume", ".usdc", "volume.usdc", "USD stage of a .vdb", readable=False, spread=(".vdb",)),
+    Format("usda", "SceneVariants", ".usda", "variants.usda", "USD variants, text", readable=False, spread=_BESIDE),
+    Format("usdz", "SceneVariants", ".usdz", "variants.usdz", "USD variants, package", readable=False),
     Format("spz", "Splats", ".spz", "splat.spz", "Gaussian splats, compressed (Niantic)", in_gzip=True),
     Format("sog", "Splats", ".sog", "splat.sog", "Gaussian splats, compressed (PlayCanvas)"),
     Format("ksplat", "Splats", ".ksplat", "splat.ksplat", "Gaussian splats (GaussianSplats3D)", writable=False),
@@ -283,6 +285,7 @@ NOUNS = {
     "N3Tree": "a PlenOctree",
     "Page": "a page to look around in",
     "QuantisedOctree": "a compressed octree",
+    "SceneVariants": "variants of a scene",
     "Shipment": "the receipt of a shipment",
     "SparseVoxelOctree": "an octree",
     "SplatLevels": "levels of Gaussian splats",
@@ -390,10 +393,7 @@ def folder_to_write(scene: str) -> FolderKind:
 
 
 def folder_of_key(path: str) -> FolderKind | None:
-    """Return the kind of folder that is written if OUT is this path: the file of its key; None for any other file.
-
-    Only kinds whose key may be given instead of the folder are written so.
-    """
+    """Return the kind of folder that is written if OUT is this path, its key; None for any other file."""
     name = PurePath(path).name
     return next((kind for kind in FOLDERS if kind.writable and kind.key == name and name in kind.members), None)
 

@@ -10,6 +10,7 @@ from nerfbake.catalog import cameras_to_write, folder_of_key, is_ending
 from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     ALL,
+    ParamType,
     budget_options,
     codec_option,
     console_options,
@@ -28,6 +29,17 @@ if TYPE_CHECKING:
 
 # Names of the options of a trained field, and of --min-psnr.
 _OF_VOXELS = ("resolution", "box", "basis", "scenery", "world", "seen_from", "min_psnr")
+# Names of the options of octrees, volumes and files of splats.
+_OF_FILES = ("layout", "no_child", "grids", "in_up", "codec", "half", "small", "profile", "voxel_type")
+
+
+class VariantNames(ParamType[list[str]]):
+    """Names, separated by commas."""
+
+    name = "NAMES"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[str]:
+        return str(value).split(",")
 
 
 @click.command()
@@ -42,11 +54,24 @@ _OF_VOXELS = ("resolution", "box", "basis", "scenery", "world", "seen_from", "mi
 @codec_option
 @click.option("--half", is_flag=True, help="Store a volume, or all but the centres of splats (USD), in float16.")
 @splat_file_options
+@click.option(
+    "--variants",
+    type=VariantNames(),
+    help="Representations of the scene IN in one stage of USD, separated by commas: splats, mesh, volume. Viewers show "
+    "the first, and let their users choose.",
+)
 @function_options()
 @world_options("as in IN; cameras only")
 @budget_options
 @console_options
-def convert(source: Source, target: Target, console: Console, world: WorldOptions, **options: Any) -> None:
+def convert(
+    source: Source,
+    target: Target,
+    console: Console,
+    variants: list[str] | None,
+    world: WorldOptions,
+    **options: Any,
+) -> None:
     """Convert between formats, and report any loss.
 
     Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz, without loss.
@@ -61,6 +86,9 @@ def convert(source: Source, target: Target, console: Console, world: WorldOption
     vdb` wrote the volume with the grids `index` or `density,sh`. From any other fog volume the octree gets the density
     only. With --grid all, each grid of a volume becomes a file: smoke.density.nvdb, ... A stage of USD (.usda, .usdc)
     gets its grids in a .vdb beside it.
+
+    With --variants, the field or the splats IN become a stage of USD that has them as splats, as a mesh and as a volume
+    (not in a package), each made as by `nerfbake splats`, `mesh` and `vdb`, with its loss in its metadata.
 
     Cameras of any tool that `info` describes become nerfstudio's transforms.json, a stage of USD (--in-up: the axis of
     their world that points up), with --to colmap a folder with the text of a COLMAP model, and with --to 3dgs
@@ -78,12 +106,20 @@ def convert(source: Source, target: Target, console: Console, world: WorldOption
       nerfbake convert scene.ply scene.glb --in-up z
       nerfbake convert scene.ply scene.usdz --half
       nerfbake convert scene.ply scene/meta.json
+      nerfbake convert chair.npz chair.usdz --variants splats,mesh
+      nerfbake convert chair.npz chair.usda --variants mesh,splats,volume
       nerfbake convert upside_down.spz scene.spz --in-axes RDF --spz-version 3
       nerfbake convert cameras.xml transforms.json
       nerfbake convert cameras.xml sparse/0 --to colmap
       nerfbake convert flight/transforms.json metres.json --scale gps --ground
     """
 
+    if variants is not None:
+        from nerfbake.jobs.variants import bake_variants
+
+        without_effect(*_OF_FILES, "min_psnr", here="with --variants", allowed="no --variants")
+        bake_variants(source, target, variants, functions=options["functions"], steps=console)
+        return
     if _is_of_cameras(target):
         _refuse_options()
         from nerfbake.jobs.cameras import convert_cameras
@@ -112,5 +148,4 @@ def _is_of_cameras(target: Target) -> bool:
 
 def _refuse_options() -> None:
     """Raise UsageError for the options of other scenes."""
-    names = ("layout", "no_child", "grids", "in_up", "codec", "half", "small", "profile", "voxel_type")
-    without_effect(*names, *_OF_VOXELS, here="on cameras", allowed="--to and --force")
+    without_effect(*_OF_FILES, *_OF_VOXELS, here="on cameras", allowed="--to and --force")

@@ -70,4 +70,6 @@ from .splats import SplatsResult as SplatsResult
 from .splats import SplatsViews as SplatsViews
 from .splats import bake_splats as bake_splats
 from .steps import Steps as Steps
+from .variants import VariantOptions as VariantOptions
+from .variants import bake_variants as bake_variants
 from .world import WorldOptions as WorldOptions

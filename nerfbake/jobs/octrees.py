@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
@@ -116,6 +117,7 @@ def bake_volume(
     functions: FunctionVoxels = FunctionVoxels(),
     budget: Budget = Budget(),
     steps: Steps = SILENT,
+    report: Callable[[float], None] | None = None,
 ) -> Volume:
     """Convert a scene to VDB grids and return the volume. This is `nerfbake vdb`.
 
@@ -129,6 +131,7 @@ def bake_volume(
     up          up axis of `target`; the up axis of `source` is z, or that of `options`
     options     how the scene becomes an octree. By default the axis of splats is up that their file states, else -y
     functions   how a trained field becomes voxels
+    report      is called with the mean PSNR in dB, if the budget has a limit
 
     Raises NerfbakeError.
 
@@ -156,7 +159,9 @@ def bake_volume(
     axis = up if form.choices("up") else None
     with target.writing(steps, volume, codec=codec, up=axis) as written:
         made = written.path if form.readable else io.paths_beside(written.path, form, to=target.to)[0]
-        judge_output(made, reading.shown, budget, made_from=source.name, name=target.path, up=up, steps=steps)
+        psnr = judge_output(made, reading.shown, budget, made_from=source.name, name=target.path, up=up, steps=steps)
+    if report is not None and psnr is not None:
+        report(psnr)
     return volume
 
 

@@ -139,6 +139,7 @@ class SplatsResult(MeasuredViews):
     views   error of the file, or of its finest level, on each of the held-out views
     worked  CPU seconds, without compiling kernels and without measuring; passed: the same in wall-clock seconds
     levels  quality of each level of detail, the finest first; of a single file none
+    up       the axis of the world of the source by which they were turned upright; None: they were not
     """
 
     path: str
@@ -149,6 +150,7 @@ class SplatsResult(MeasuredViews):
     worked: float
     passed: float
     levels: tuple[LevelQuality, ...] = ()
+    up: Up | None = None
 
 
 def bake_splats(
@@ -210,7 +212,9 @@ def bake_splats(
             each_level, content = _measured(steps, target, written, made.split.held_out, scene, made.up, written_as)
         qualities = tuple(map(LevelQuality.of, made.levels, each_level)) if folder is not None else ()
         worked, passed = made.seconds
-        found = SplatsResult(target.path, content, written.size, splats.n, each_level[0], worked, passed, qualities)
+        found = SplatsResult(
+            target.path, content, written.size, splats.n, each_level[0], worked, passed, qualities, made.up
+        )
         if folder is not None:
             steps.say(f"{folder.path}: {scene}, {written.size:,} bytes")
         for number, level in enumerate(qualities):

@@ -11,6 +11,7 @@ from pxr import Usd, UsdGeom, UsdVol
 
 from nerfbake import load
 from nerfbake.scene.mesh import Meshes
+from nerfbake.scene.scene_variants import SceneVariant, SceneVariants
 from nerfbake.scene.splats import Splats
 from tests.conformance import cameras, meshes, splats, volumes
 from tests.conformance.case import Case, Facts, Frozen, floats, form_named
@@ -45,6 +46,30 @@ def cases() -> Iterator[Case]:
     files = _files("cameras", "Cameras", own, {"up": "z"}, ENDINGS)
     yield Case("usd/cameras", "Two cameras in USD.", files, cameras.facts_of(own), _cameras, stored=1e-6)
     yield _volume()
+    yield _variants(made, scene_of)
+
+
+def _variants(made: Splats, meshes_of: Meshes) -> Case:
+    """The second splats and the meshes of the cases before, in one stage."""
+    parts = SceneVariant("mesh", meshes_of, 30.5), SceneVariant("splats", made, 35.25)
+    scene = SceneVariants(parts)
+    files = {f"usd/variants.{end}": Frozen(form_named(end, "SceneVariants"), scene) for end in ("usda", "usdz")}
+    facts = {
+        "selected": "mesh",
+        "variants": {part.name: {"psnr": part.psnr, "content": str(part.scene)} for part in parts},
+    }
+    return Case("usd/variants", "The same scene as a mesh and as splats.", files, facts, _variants_in, stored=1e-6)
+
+
+def _variants_in(path: Path, _: Facts) -> Facts:
+    stage = Usd.Stage.Open(str(path))
+    prim = stage.GetDefaultPrim()
+    chosen = prim.GetVariantSet("representation")
+    selected, found = chosen.GetVariantSelection(), {}
+    for name in ("mesh", "splats"):
+        assert chosen.SetVariantSelection(name)
+        found[name] = dict(prim.GetCustomDataByKey("nerfbake"))
+    return {"selected": selected, "variants": found}
 
 
 def _files(name: str, kind: str, scene: Any, options: Facts, endings: tuple[str, ...]) -> dict[str, Frozen]:

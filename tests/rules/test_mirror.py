@@ -21,6 +21,7 @@ ABOUT_SEVERAL = {
     "formats/camera": {"tool_traps", "tools", "tools_data", "tools_hostile"},
     "formats/mesh": {"blender", "khronos"},
     "formats/octree": {"formats"},
+    "formats/variants": {"usd"},
     "formats/volume": {"usd"},
     "formats/wire": {"damaged_streams"},
     "formats/wire/usd": {"damage", "writers"},

@@ -73,13 +73,31 @@ class Relationship(NamedTuple):
 
 @dataclass(frozen=True)
 class Prim:
-    """A prim with its properties and children, both in order. schemas: the names in its apiSchemas."""
+    """A prim with its properties and children, both in order. schemas: the names in its apiSchemas.
+
+    variant_set, variants: the name of a set of variants, of which the first is selected. Only text has them.
+    """
 
     name: str
     kind: str
     properties: Mapping[str, Attribute | Relationship] = field(default_factory=dict)
     children: tuple[Prim, ...] = ()
     schemas: tuple[str, ...] = ()
+    variant_set: str = ""
+    variants: Mapping[str, UsdVariant] = field(default_factory=dict)
+
+
+class UsdVariant(NamedTuple):
+    """What a prim has if this variant is selected.
+
+    facts      customData below the key nerfbake, by name
+    reference  path of a layer whose default prim is added; '' for none
+    """
+
+    properties: Mapping[str, Attribute | Relationship] = {}
+    children: tuple[Prim, ...] = ()
+    facts: Mapping[str, str | float] = {}
+    reference: str = ""
 
 
 class UsdStage(NamedTuple):

@@ -5,14 +5,14 @@ Source: pxr/usd/sdf/usdaFileFormat.cpp and fileIO_Common.cpp of OpenUSD 26.11.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import orjson
 
-from nerfbake.formats.wire.usd.stage import KINDS, METRES_PER_UNIT, Attribute, Prim, Relationship, UsdStage
+from nerfbake.formats.wire.usd.stage import KINDS, METRES_PER_UNIT, Attribute, Prim, Relationship, UsdStage, UsdVariant
 
 MAGIC = b"#usda"
 _STEP = 1 << 16  # rows of an array that are written at once
@@ -27,20 +27,46 @@ def encode_text(stage: UsdStage) -> Iterator[bytes]:
 
 def _prim(prim: Prim, indent: str) -> Iterator[bytes]:
     yield f'\n{indent}def {prim.kind} "{prim.name}"'.encode()
+    inner = indent + "    "
     if prim.schemas:
         names = ", ".join(f'"{name}"' for name in prim.schemas)
-        yield f" (\n{indent}    prepend apiSchemas = [{names}]\n{indent})".encode()
+        yield f" (\n{inner}prepend apiSchemas = [{names}]\n{indent})".encode()
+    if prim.variants:
+        yield f' (\n{inner}prepend variantSets = "{prim.variant_set}"\n{inner}variants = {{\n'.encode()
+        yield f'{inner}    string {prim.variant_set} = "{next(iter(prim.variants))}"\n{inner}}}\n{indent})'.encode()
     yield f"\n{indent}{{\n".encode()
+    yield from _body(prim.properties, prim.children, inner)
+    if prim.variants:
+        yield f'{inner}variantSet "{prim.variant_set}" = {{\n'.encode()
+        for name, variant in prim.variants.items():
+            yield from _variant(name, variant, inner + "    ")
+        yield f"{inner}}}\n".encode()
+    yield f"{indent}}}\n".encode()
+
+
+def _variant(name: str, variant: UsdVariant, indent: str) -> Iterator[bytes]:
     inner = indent + "    "
-    for name, each in prim.properties.items():
+    yield f'{indent}"{name}" (\n{inner}customData = {{\n{inner}    dictionary nerfbake = {{\n'.encode()
+    for key, value in variant.facts.items():
+        kind, text = ("string", _quoted(value)) if isinstance(value, str) else ("double", repr(float(value)))
+        yield f"{inner}        {kind} {key} = {text}\n".encode()
+    yield f"{inner}    }}\n{inner}}}\n".encode()
+    if variant.reference:
+        yield f"{inner}prepend references = {_path(variant.reference)}\n".encode()
+    yield f"{indent}) {{\n".encode()
+    yield from _body(variant.properties, variant.children, inner)
+    yield f"{indent}}}\n".encode()
+
+
+def _body(properties: Mapping[str, Attribute | Relationship], children: Sequence[Prim], indent: str) -> Iterator[bytes]:
+    for name, each in properties.items():
         if isinstance(each, Relationship):
             targets = ", ".join(f"<{path}>" for path in each.targets)
-            yield f"{inner}rel {name} = [{targets}]\n".encode()
+            yield f"{indent}rel {name} = [{targets}]\n".encode()
         else:
-            yield from _attribute(name, each, inner)
-    for child in prim.children:
-        yield from _prim(child, inner)
-    yield f"{indent}}}\n".encode()
+            yield from _attribute(name, each, indent)
+    for child in children:
+        yield from _prim(child, indent)
 
 
 def _attribute(name: str, each: Attribute, indent: str) -> Iterator[bytes]:

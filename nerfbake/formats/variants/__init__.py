@@ -1,0 +1,1 @@
+"""Write a scene in several representations as one stage of USD."""
