@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nerfbake.device.adapters import AUTO, list_adapters, open_device
 from nerfbake.installation import command_for, is_installed
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.stages.renderers import KERNELS, DeviceRenderer, Renderer
+
+if TYPE_CHECKING:
+    from nerfbake.device.gpu import Gpu
 
 DEVICE = AUTO  # the default of every job
 _CELL_BYTES = 4 * 28  # of a cell with SH9 and density
@@ -50,7 +53,9 @@ def renderer_on(device: str = DEVICE, *, steps: Steps = SILENT) -> Renderer:
     >>> type(renderer_on("cpu")).__name__
     'KernelRenderer'
     """
-    gpu = open_device(device)
-    if gpu is None:
-        return KERNELS
-    return DeviceRenderer(gpu, steps.say)
+    return renderer_with(steps, open_device(device))
+
+
+def renderer_with(steps: Steps, gpu: Gpu | None) -> Renderer:
+    """Return what renders fields on an open device, as renderer_on() does; None: the CPU."""
+    return KERNELS if gpu is None else DeviceRenderer(gpu, steps.say)

@@ -13,6 +13,7 @@ from nerfbake.device.adapters import open_device
 from nerfbake.errors import DeviceError, Stopped, UsageError
 from nerfbake.installation import require_installed
 from nerfbake.jobs.compressions import CompressionGoal, coded_size_of
+from nerfbake.jobs.devices import renderer_with
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_options import FitOptions
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, kept_as_partial, write_partial
@@ -46,7 +47,6 @@ from nerfbake.stages.field_to_splats import build_splats
 from nerfbake.stages.half import LARGEST
 from nerfbake.stages.octree_to_compression import compress_octree
 from nerfbake.stages.origins import origin_of
-from nerfbake.stages.renderers import KERNELS, DeviceRenderer
 from nerfbake.stages.scene_to_field import build_field, build_field_from_bricks
 from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measure_views, plain_psnr
 
@@ -342,7 +342,7 @@ def _fit(
                 assert state is not None, "a schedule has at least one step"
                 return state.field()
             except DeviceError as error:
-                steps.say(f"{error}; {run.go_on_without_device(state)}")
+                steps.say(f"{error.line}; {run.go_on_without_device(state)}")
                 start = state
 
 
@@ -418,8 +418,7 @@ def _judged(
         if (start := origin_of(loaded.scene)).any():  # a reader may choose another one than the fit did
             near = held_out.cameras.relative_to(start - held_out.cameras.origin)
             held_out = replace(held_out, cameras=near)
-        render = KERNELS if run.gpu is None else DeviceRenderer(run.gpu, steps.say)
-        views = measure_views(scene, held_out, samples=samples, render=render)
+        views = measure_views(scene, held_out, samples=samples, render=renderer_with(steps, run.gpu))
         shapes = measure_silhouettes(scene, held_out) if isinstance(scene, Meshes) else ()
     facts = target.path, str(loaded.scene), loaded.size, str(schedule), run.device
     fitted = FitResult(*facts, views, worked, passed, tuple(run.curve))

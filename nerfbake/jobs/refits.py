@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nerfbake import io, progress
-from nerfbake.errors import UsageError
+from nerfbake.device.adapters import open_device
+from nerfbake.errors import DeviceError, UsageError
 from nerfbake.jobs.budgets import EDGE
-from nerfbake.jobs.devices import DEVICE, renderer_on
+from nerfbake.jobs.devices import DEVICE, renderer_with
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.photographs import PhotographOptions, SplitViews, mean_of, read_photographs, render_split
@@ -23,6 +24,9 @@ from nerfbake.stages.octree_to_brick_field import build_bricks
 from nerfbake.stages.renderers import Renderer
 from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.views_to_error import ViewError, measure_views
+
+if TYPE_CHECKING:
+    from nerfbake.device.gpu import Gpu
 
 _ALL = 0.75  # of the width of a scene with scenery; its inner cube has half of it or less
 
@@ -126,13 +130,14 @@ def refit_file(
     source, target = as_source(source), as_target(target)
     reference.require()
     _require(target, no_child)
-    render = renderer_on(device, steps=steps)
+    gpu = open_device(device)
+    render = renderer_with(steps, gpu)
     octree = Reading(steps, source).octree()
     with source.blamed(steps, "preparing"):
         cells = build_bricks(octree)
     split = reference.split(steps, options.samples, cells.box, render)
     before = _measure(steps, source, octree, split, options, render)
-    field, worked = _fit(steps, source, cells, split, options)
+    field, worked = _fit(steps, source, cells, split, options, gpu)
     with source.blamed(steps, "storing the values"):
         refitted = fill_octree(octree, field)
     with target.writing(steps, refitted, no_child=no_child) as written:
@@ -154,16 +159,25 @@ def _require(target: Target, no_child: int | None) -> None:
 
 
 def _fit(
-    steps: Steps, source: Source, cells: BrickField, split: SplitViews, options: RefitOptions
+    steps: Steps, source: Source, cells: BrickField, split: SplitViews, options: RefitOptions, gpu: Gpu | None
 ) -> tuple[BrickField, float]:
     """Fit the values of the cells to the pictures. Return the new field and the CPU seconds."""
     from nerfbake.stages.brick_field_to_brick_field import refit_bricks
 
-    clock, count = Clock(), options.epochs * len(split.training.pictures)
-    with steps.phase("refitting"), io.blame(source.name):
-        for done, state in enumerate(refit_bricks(cells, split.training, **vars(options))):
-            progress.report(done / count, f"epoch {state.epoch + 1} of {options.epochs}")
-        return state.field(), clock.worked
+    clock, views = Clock(), len(split.training.pictures)
+    try:
+        with steps.phase("refitting"), io.blame(source.name):
+            for state in refit_bricks(cells, split.training, **vars(options), gpu=gpu):
+                done = options.epochs if state.done else state.epoch + state.view / views
+                progress.report(
+                    done / options.epochs, f"epoch {min(state.epoch + 1, options.epochs)} of {options.epochs}"
+                )
+            return state.field(), clock.worked
+    except DeviceError as error:
+        if gpu is None:
+            raise
+        steps.say(f"{error.line}; the CPU does all of it")
+    return _fit(steps, source, cells, split, options, None)
 
 
 def _measure(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nerfbake import Camera, Views, build_field_from_bricks, fit_field, measure_views
+from nerfbake import Camera, Views, build_field_from_bricks, carve_hull, fit_field, measure_views, refit_bricks
 from nerfbake.device.fit import FitPasses, Losses
 from nerfbake.device.gpu import Gpu
 from nerfbake.errors import DeviceError
@@ -165,3 +165,12 @@ def test_a_fit_of_scenery_is_as_good(gpu: Gpu) -> None:
     own, theirs = (last(views, ROOM, basis="SH1", exposure=True, gpu=each) for each in (None, gpu))
     assert abs(shown(own, views) - shown(theirs, views)) < 0.1
     assert_allclose(own.gains, theirs.gains, atol=0.01)
+
+
+@pytest.mark.long
+def test_a_refit_is_as_good(gpu: Gpu) -> None:
+    views = sample_views()
+    coarse = carve_hull(views, resolution=16)
+    own, theirs = ([*refit_bricks(coarse, views, epochs=3, gpu=each)][-1] for each in (None, gpu))
+    assert shown(own, views) > 15
+    assert abs(shown(own, views) - shown(theirs, views)) < 0.1
