@@ -151,7 +151,7 @@ class Lens:
 
 def _all_round(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
     """The directions (m, 3) of longitudes and latitudes (m, 2), and which of them are on the sphere."""
-    fine = (np.abs(points) <= np.array([np.pi, np.pi / 2]) * (1 + 1e-9)).all(axis=1)
+    fine = np.asarray((np.abs(points) <= np.array([np.pi, np.pi / 2]) * (1 + 1e-9)).all(axis=1))
     (across, ahead), (down, flat) = (sine_cosine(np.where(fine, angle, 0)) for angle in points.T)
     return np.stack([flat * across, down, flat * ahead], axis=1), fine
 
