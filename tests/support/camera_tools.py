@@ -420,7 +420,9 @@ def write_gltf(folder: Path, made: Rig) -> str:
     """Cameras below a node that turns, and one without a node."""
     above = np.eye(4)
     above[:3, :3], above[:3, 3] = TURN, SHIFT
-    nodes: list[dict[str, Any]] = [{"children": [1, 2, 3], "matrix": above.T.ravel().tolist()}]
+    nodes: list[dict[str, Any]] = [
+        {"children": [1 + i for i in range(len(made.poses))], "matrix": above.T.ravel().tolist()}
+    ]
     for name, pose in zip(made.names, made.poses, strict=True):
         inside = np.linalg.inv(above) @ pose
         nodes.append({"name": name, "camera": 0, "matrix": inside.T.ravel().tolist()})
