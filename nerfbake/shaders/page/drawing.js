@@ -45,6 +45,7 @@ class Drawing {
     this.frames = {};
     this.triangles = null;
     this.finest = 2; // rays along a pixel's edge at rest
+    this.bands = Infinity; // most bands in which a picture is drawn at rest
   }
 
   // What the next picture is drawn from is still being prepared.

@@ -24,6 +24,7 @@ class SplatPicture extends Drawing {
     }
     this.changed = changed;
     this.finest = 1; // a Gaussian in the picture is already blurred by about a pixel
+    this.bands = PARTS; // after each, pixels are closed, which takes as long as some splats
     this.sums = {};
     this.sorter = null;
     this.sorted = null; // the view that the order belongs to

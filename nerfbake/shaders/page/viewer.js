@@ -196,7 +196,7 @@ class Viewer {
   // Draw a band of lines, from the top: first all lines with one ray per pixel, then all lines with more. Of splats, a
   // band is that share of them, from the nearest one.
   drawFine(now) {
-    const { canvas, rest } = this, from = Math.max(0, rest.from - this.lines);
+    const { canvas, rest } = this, from = Math.max(0, rest.from - Math.max(this.lines, Math.ceil(canvas.height / this.picture.bands)));
     this.picture.look(this.lens, canvas.width, canvas.height, { ...this.shown, rays: rest.rays });
     this.picture.draw("fine", canvas.width, canvas.height, from, rest.from);
     this.picture.spread("fine");

@@ -84,9 +84,15 @@ def test_its_script_has_what_it_needs_alone(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value", "error"),
-    [("splats", 0, InvalidFile), ("splats", 41, InvalidFile), ("splats", 1 << 40, InvalidFile), ("functions", 5, InvalidFile),
-     ("stated", "w", InvalidFile), ("splats", 1 << 25, MemoryLimit)],
-)  # fmt: skip
+    [
+        ("splats", 0, InvalidFile),
+        ("splats", 41, InvalidFile),
+        ("splats", 1 << 40, InvalidFile),
+        ("functions", 5, InvalidFile),
+        ("stated", "w", InvalidFile),
+        ("splats", 1 << 25, MemoryLimit),
+    ],
+)
 def test_facts_that_do_not_fit_are_refused(page: Page, name: str, value: object, error: type[Exception]) -> None:
     assert isinstance(page.content, PageSplats)
     facts = splat_facts(page.content) | {name: value}
