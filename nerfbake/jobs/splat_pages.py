@@ -5,8 +5,6 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 
-import numpy as np
-
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget, judge_output
@@ -102,16 +100,17 @@ def _read(steps: Steps, source: Source, functions: FunctionVoxels) -> Splats:
         splats = build_splats(field, count=COUNT)
     splats = fitted_splats(steps, source, splats, split.training, SplatsOptions(), threading.Event())
     with source.blamed(steps, "measuring the splats"):
-        psnr = float(np.mean([view.psnr for view in measure_views(splats, split.held_out)]))
+        views = measure_views(splats, split.held_out)
+    psnr = sum(view.psnr for view in views) / len(views)
     steps.say(f"{source.name}: {splats}, {psnr:.2f} dB on {split.held_out}")
     return replace(splats, up="z")  # as in all scenes but splats
 
 
 def _up_of(cameras: Cameras) -> Up:
     """Return the axis that is next to the cameras' mean up."""
-    mean = np.sum([camera.pose[:3, 1] for camera in cameras.cameras], axis=0)
-    axis = int(np.abs(mean).argmax())
-    return UPS[2 * axis + int(mean[axis] < 0)]
+    total = [sum(float(camera.pose[row, 1]) for camera in cameras.cameras) for row in range(3)]
+    axis = max(range(3), key=lambda row: abs(total[row]))
+    return UPS[2 * axis + int(total[axis] < 0)]
 
 
 def _splats_of(path: str) -> Splats:

@@ -85,7 +85,7 @@ class PageSplats(CompactRepr):
     @property
     def B(self) -> int:
         """Coefficients of each colour."""
-        return 1 + self.rest.shape[1]
+        return 1 + int(self.rest.shape[1])
 
     def __str__(self) -> str:
         return f"{plural(self.n, 'splat')} of SH degree {BASES.index(self.B)}"
