@@ -76,7 +76,8 @@ class FieldOnDevice:
         self._record["tree"][:3] = cells.top_bits, cells.top_below, cells.edge
         for level, (first, bits, shift) in enumerate(zip(cells.first, cells.bits, cells.shift, strict=True)):
             self._record["levels"][level, :3] = first, bits, shift
-        self._corners = field.world(np.array(np.meshgrid(*field.box.T)).reshape(3, -1).T)
+        around = field.box + np.array([[-0.5], [0.5]])  # interpolation reaches half a cell further
+        self._corners = field.world(np.array(np.meshgrid(*around.T)).reshape(3, -1).T)
 
     def _upload_values(self, field: RadianceField) -> Buffer:
         B, T, rows = field.basis.size, self._texels, len(field.values)
