@@ -22,6 +22,7 @@ _KINDS: dict[str, Kind] = {
     "Unknown": "virtual",  # wgpu's name for the card of a virtual machine
     "CPU": "software",
 }
+_SOFTWARE = ("llvmpipe", "swiftshader", "basic render")  # the last one is WARP; some drivers do not tell the kind
 _ORDER: list[Kind] = ["discrete", "integrated", "virtual", "software"]
 # Compute shaders through OpenGL have fewer buffers, and a card appears there a second time.
 _BACKENDS = ("Vulkan", "Metal", "D3D12")
@@ -123,9 +124,10 @@ def _found() -> list[tuple[Adapter, Any]]:
 
 def _described(adapter: Any) -> Adapter:
     info, limits = adapter.info, adapter.limits
+    software = any(name in info["device"].lower() for name in _SOFTWARE)
     return Adapter(
         name=info["device"],
-        kind=_KINDS.get(info["adapter_type"], "virtual"),
+        kind="software" if software else _KINDS.get(info["adapter_type"], "virtual"),
         backend=info["backend_type"],
         driver=info["description"],
         largest_buffer=limits["max-buffer-size"],

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pkgutil
+from functools import cache
 
 
+@cache
 def read_wgsl(*names: str) -> str:
     """Return the text of some files of nerfbake/shaders, one below the other; WGSL has no #include.
 

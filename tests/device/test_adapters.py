@@ -55,6 +55,25 @@ def test_a_software_adapter_is_used_only_if_it_is_named(present: list[Adapter]) 
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "told", "kind"),
+    [
+        ("NVIDIA H200", "DiscreteGPU", "discrete"),
+        ("Apple M4", "IntegratedGPU", "integrated"),
+        ("Virtio-GPU Venus", "Unknown", "virtual"),
+        ("llvmpipe (LLVM 15.0.6)", "CPU", "software"),
+        ("Google SwiftShader", "Unknown", "software"),
+        ("Microsoft Basic Render Driver", "IntegratedGPU", "software"),
+    ],
+)
+def test_the_kind_of_an_adapter_is_told_by_its_driver_or_its_name(name: str, told: str, kind: str) -> None:
+    class Handle:
+        info = {"device": name, "adapter_type": told, "backend_type": "Vulkan", "description": "driver 1"}  # noqa: RUF012
+        limits = {"max-buffer-size": 1 << 31, "max-storage-buffer-binding-size": 1 << 27}  # noqa: RUF012
+
+    assert adapters._described(Handle()).kind == kind
+
+
 def test_a_machine_without_adapters_says_so(present: list[Adapter]) -> None:
     assert open_device("auto") is None
     with pytest.raises(
