@@ -11,10 +11,12 @@ from nerfbake.kernels.maths.affine import rotate
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid, lattice_frame
+from nerfbake.stages._scenery_depths import depth_maps, vote
 from nerfbake.stages._scenery_points import reach_of
 
 SHELLS = 6  # with the inner cube: the outermost one is 32 times as wide as the inner cube
 FOG = 0.01  # density per cell width
+_SURFACE = 0.3  # density per cell width where pictures show a surface
 WALL = 3.0  # density per cell width of the outermost cells, which show whatever is farther away, such as the sky
 _LEAST = 3  # views that must see a cell that is not part of the wall
 _CLEAR = 0.25  # of the distance that the cameras look at: no fog starts that close to a camera
@@ -26,14 +28,17 @@ def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> 
 
     Fog fills all cells that three views see (all views, if there are fewer), except close to a camera. If the sparse
     points of a picture are about equally far, it fills what this picture alone sees at their distance, and nothing
-    before them. The wall is at the end of the outermost shell, where one view sees it. box: the inner cube; None:
-    around the point that the cameras look at. Raises InvalidScene, MemoryLimit.
+    before them. Where depth maps show a surface, cells are denser, and there are none where pictures see through. The
+    wall is at the end of the outermost shell, where one view sees it. box: the inner cube; None: around the point that
+    the cameras look at. Raises InvalidScene, MemoryLimit.
     """
     box = inner_cube_of(views.cameras) if box is None else box
-    solid = _visible(views, box, resolution)
+    solid, surface = _visible(views, box, resolution)
     if not solid.any():
         raise InvalidScene(Problem("views", "see no part of the box together", "cameras that look at the same place"))
     cells = cells_of_solid(solid, box, B, FOG)
+    shell, corner = cell_places(cells.bricks)
+    _thicken(cells, surface[shell * resolution + corner[:, 0], corner[:, 1], corner[:, 2]], _SURFACE)
     close_wall(cells)
     return box, cells
 
@@ -47,12 +52,17 @@ def wall_of(cells: BrickCells) -> Bits:
 
 def close_wall(cells: BrickCells) -> None:
     """Make the wall opaque, so that rays that leave all other cells do not end in the background."""
-    first, values, wall = cells.bricks.first, cells.bricks.values, wall_of(cells)
+    _thicken(cells, wall_of(cells), WALL)
+
+
+def _thicken(cells: BrickCells, chosen: Bits, density: float) -> None:
+    """Give the chosen cells (n,) at least this density per cell width."""
+    first, values = cells.bricks.first, cells.bricks.values
     D = len(values) // int(first[-1])
-    brick = np.repeat(np.arange(len(first) - 1), np.diff(first))[wall]
+    brick = np.repeat(np.arange(len(first) - 1), np.diff(first))[chosen]
     start = first[:-1][brick].astype(np.int64)
-    place = D * start + (D - 1) * np.diff(first)[brick] + np.flatnonzero(wall) - start  # of each density
-    values[place] = np.maximum(values[place], np.float32(WALL))
+    place = D * start + (D - 1) * np.diff(first)[brick] + np.flatnonzero(chosen) - start  # of each density
+    values[place] = np.maximum(values[place], np.float32(density))
 
 
 def focus_distance(views: Views, box: Points) -> float:
@@ -73,13 +83,13 @@ def resolved(cells: BrickCells, views: Views) -> Bits:
     return found
 
 
-def _visible(views: Views, box: Points, R: int) -> Bits:
-    """Return the cells (S R, R, R) of all shells that enough views see."""
+def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits]:
+    """Return the cells (S R, R, R) of all shells that the fit starts from, and those of them with a surface."""
     memory.require(f"fog in {SHELLS} shells of {R}^3 cells", _CELL_BYTES * R**3 * SHELLS)
     low, size, width = lattice_frame(box, R, SHELLS)
     steps = np.stack(np.meshgrid(*[np.arange(R)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5
-    found, clear, least = [], _CLEAR * focus_distance(views, box), min(_LEAST, len(views.pictures))
-    reach = reach_of(views.cameras)
+    focus, least = focus_distance(views, box), min(_LEAST, len(views.pictures))
+    found, surfaces, clear, reach, maps = [], [], _CLEAR * focus, reach_of(views.cameras), depth_maps(views, focus)
     for shell in range(SHELLS):
         centre, counts = low[shell] + steps * size[shell], np.zeros(R**3, np.int32)
         # Where the distance is known, one view is enough. Elsewhere, views whose distance is unknown count.
@@ -95,7 +105,9 @@ def _visible(views: Views, box: Points, R: int) -> Bits:
                 near |= seen & (away - width[shell] < reach.far[number])
             else:
                 wide |= seen
-        solid = ((near & (counts >= 1)) | (wide & (counts >= least))).reshape(R, R, R)
+        votes = vote(maps, centre, float(width[shell]))
+        solid = ((near & (counts >= 1)) | (wide & (counts >= least))) & ~votes.empty
+        solid, surface = (solid | votes.surface).reshape(R, R, R), votes.surface.reshape(R, R, R)
         if shell:
             solid[R // 4 : R - R // 4, R // 4 : R - R // 4, R // 4 : R - R // 4] = False
         if shell == SHELLS - 1:  # the wall also shows what only one view sees
@@ -104,7 +116,8 @@ def _visible(views: Views, box: Points, R: int) -> Bits:
             wall[inside] = solid[inside]
             solid = wall
         found.append(solid)
-    return np.concatenate(found)
+        surfaces.append(surface)
+    return np.concatenate(found), np.concatenate(surfaces)
 
 
 def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:

@@ -1,0 +1,98 @@
+"""Depths that neighbouring photographs show, and what they say about cells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nerfbake import Camera, Cameras, Views
+from nerfbake.kernels.arrays import Floats
+from nerfbake.scene.lens import Lens
+from nerfbake.stages._scenery import start_scenery
+from nerfbake.stages._scenery_depths import DepthMap, depth_maps, vote
+
+HEIGHT, EDGE = 5.0, 64
+BOX = np.array([[-4.0, -4, -4], [4, 4, 4]])
+
+
+def ground(x: Floats, y: Floats, *, plain: bool = False) -> Floats:
+    """A pattern of waves of many directions and lengths, 0 to 255."""
+    waves = np.random.default_rng(0).normal(0, 5, (40, 2))
+    grey = sum(np.sin(x * a + y * b + i) for i, (a, b) in enumerate(waves.tolist()))
+    return 128 + (0 if plain else 16) * np.clip(grey, -7, 7)
+
+
+def above(lens: Lens | None = None, *, edge: int = EDGE, plain: bool = False, block: float = 0.0) -> Views:
+    """Photographs of the ground z = 0 from 4 x 2 places that are 0.8 apart, HEIGHT above it.
+
+    block: the height of a block that fills the ground where x > 0.
+    """
+    cameras, pictures = [], []
+    for place in range(8):
+        pose = np.eye(4)
+        pose[:3, 3] = 0.8 * (place % 4) - 1.2, 0.8 * (place // 4) - 0.4, HEIGHT
+        camera = Camera(edge, edge, float(edge), pose, str(place), lens=lens)
+        eye, looks = camera.rays()
+        low, high = (eye - looks / looks[:, 2:] * (HEIGHT - z) for z in (0.0, block))
+        places = np.where(high[:, :1] > 0, high, low)
+        grey = ground(places[:, 0], places[:, 1], plain=plain).reshape(edge, edge, 1).astype(np.uint8)
+        pictures.append(np.concatenate([grey, grey, grey, np.full_like(grey, 255)], axis=2))
+        cameras.append(camera)
+    return Views(Cameras(tuple(cameras)), tuple(pictures), (1.0, 1.0, 1.0), False, scenery=True)
+
+
+@pytest.fixture(scope="module")
+def maps() -> list[DepthMap]:
+    return depth_maps(above(), HEIGHT)
+
+
+def test_the_depth_of_a_plane_is_known(maps: list[DepthMap]) -> None:
+    assert len(maps) == 8
+    for found in maps:
+        assert found.known.mean() > 0.7
+        assert np.quantile(np.abs(HEIGHT * found.inverse[found.known] - 1), 0.98) < 0.02
+        assert np.median(np.abs(HEIGHT * found.inverse - 1)) < 0.01
+
+
+def test_a_lens_changes_no_depth() -> None:
+    bent = depth_maps(above(Lens("polynomial", (-0.2,))), HEIGHT)
+    assert len(bent) == 8
+    for found in bent:
+        assert not found.camera.bends
+        assert found.known.mean() > 0.7
+        assert np.median(np.abs(HEIGHT * found.inverse[found.known] - 1)) < 0.02
+
+
+@pytest.mark.parametrize("views", [above(plain=True), above(edge=32)])
+def test_no_depth_is_known_without_texture_or_in_small_pictures(views: Views) -> None:
+    assert depth_maps(views, HEIGHT) == []
+
+
+def test_unknown_depths_are_those_of_the_farther_side() -> None:
+    for found in depth_maps(above(block=2.0), HEIGHT):
+        known = found.inverse[found.known]
+        assert ((np.abs(known * 5 - 1) < 0.04) | (np.abs(known * 3 - 1) < 0.04)).mean() > 0.9
+        assert (found.inverse[~found.known] < 1 / 3).mean() > 0.5
+
+
+@pytest.mark.parametrize(("z", "empty", "surface"), [(2.0, True, False), (0.0, False, True), (-2.0, False, False)])
+def test_cells_before_the_ground_are_empty(maps: list[DepthMap], z: float, empty: bool, surface: bool) -> None:
+    centre = np.random.default_rng(1).uniform(-1, 1, (50, 3)) * (1, 1, 0) + (0, 0, z)
+    votes = vote(maps, centre, 0.2)
+    assert (votes.empty == empty).all()
+    assert (votes.surface == surface).all()
+
+
+def test_cells_that_no_view_shows_have_no_votes(maps: list[DepthMap]) -> None:
+    votes = vote(maps, np.array([[0.0, 0, 9], [50, 0, 0]]), 0.2)
+    assert not votes.empty.any()
+    assert not votes.surface.any()
+
+
+@pytest.mark.slow
+def test_a_fit_starts_with_dense_cells_on_the_ground() -> None:
+    field, plain = (start_scenery(views, BOX, 32, 1)[1] for views in (above(), above(plain=True)))
+    assert 0 < field.n < plain.n
+    dense = [np.isclose(cells.bricks.values, 0.3).sum() for cells in (field, plain)]
+    assert dense[0] > 100
+    assert dense[1] == 0
