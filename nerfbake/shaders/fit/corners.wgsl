@@ -19,7 +19,7 @@ fn stepCorners(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups
     let number = threadOf(id, groups);
     if number >= arrayLength(&corners) { return; }
     var own = corners[number];
-    if own.curvature > 0 || own.asked != 0 {
+    if own.curvature > 0 {
         let unit = view.limits.w * view.rates.w;
         let curvature = f32(own.curvature) * unit / 8.0;
         own.mean = select(curvature, DECAY * own.mean + (1.0 - DECAY) * curvature, own.mean > 0.0);

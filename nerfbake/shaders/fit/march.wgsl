@@ -198,18 +198,21 @@ fn march(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
                         let before = 1.0 - through;
                         if back {
                             let after = behind - whole.a;
-                            let beyond = wholeDepth.x - depths - weight * depth;
-                            let slope = 2.0 * (depth * (before - after) - depths + beyond)
+                            let later = wholeDepth.x - depths - weight * depth;
+                            let slope = 2.0 * (depth * (before - after) - depths + later)
                                 + 2.0 / 3.0 * weight * length * scale;
                             slopes += weight * slope;
-                            asked = -view.losses.z * long * (behind * slope - (wholeDepth.y - slopes));
+                            let rest = select(wholeDepth.y - slopes, 0.0, behind == 0.0);
+                            asked = -view.losses.z * long * (behind * slope - rest);
                         } else {
                             slopes += weight * (4.0 * (depth * before - depths) + 2.0 / 3.0 * weight * length * scale);
                         }
                         depths += weight * depth;
                     }
                     if back {
-                        let j = long * (behind * seen.rgb - (whole.rgb - colour));
+                        // Nothing is behind the last cell; the difference may have a last bit.
+                        let beyond = select(whole.rgb - colour, vec3f(0.0), behind == 0.0);
+                        let j = long * (behind * seen.rgb - beyond);
                         let ja = long * whole.a;
                         asked += dot(j, residual.rgb) + view.losses.x * ja * residual.a;
                         let change = weight * (residual.rgb + view.losses.y * (wanted - seen.rgb));
@@ -222,7 +225,12 @@ fn march(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
                         } else {
                             addToCell(row, 4u, asked);
                         }
-                        addToCell(row, 5u, dot(j, j) + view.losses.x * ja * ja);
+                        // A curvature is not rounded to 0, because the mean of a cell that was met once is another,
+                        // unless it is only an error of the difference.
+                        let curvature = dot(j, j) + view.losses.x * ja * ja;
+                        let least = select(0, 1, curvature > 1e-12);
+                        let curved = max(i32(round(curvature * view.limits.z)), least);
+                        if curved != 0 { atomicAdd(&sums[8u * row + 5u], curved); }
                         atomicMax(&sums[8u * row + 6u], i32(round(weight * view.limits.z)));
                         addToCell(row, 7u, weight * blame);
                     }

@@ -56,8 +56,7 @@ fn stepCell(brick: Brick, cell: u32) {
     let place = placeOf(row);
     var mean = means[row];
     let values3 = brick.start + 3u * u32(B) * brick.count + cell;
-    // The curvature of a step may be too small for an integer.
-    if curved > 0 || asked != 0 {
+    if curved > 0 {
         seen[row] = vec2f(max(seen[row].x * FADE, most), seen[row].y + f32(high.w) * unit);
         if smoothed {
             for (var k = 0u; k < 8u; k++) { atomicAdd(&corners[cornersOf[8u * row + k]].curvature, curved); }
