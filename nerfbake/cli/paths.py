@@ -104,7 +104,7 @@ class JudgedOutput(Writes):
 
 def _rejected(path: str) -> str:
     """What an output is renamed to: the folder, if the path is that of its key."""
-    return str(rejected_path(path if catalog.folder_of_key(path) is None else PurePath(path).parent))
+    return str(rejected_path(path if catalog.folder_of_key(path) is None else str(PurePath(path).parent)))
 
 
 class MeshOutput(JudgedOutput):

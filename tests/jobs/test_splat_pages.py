@@ -40,7 +40,7 @@ def test_a_page_keeps_the_world_and_tells_the_loss(listener: Listener) -> None:
 def test_up_is_that_of_the_cameras_if_the_file_does_not_say(folder: Path, scene: Splats, up: str) -> None:
     axis = np.roll(np.eye(3), "xyz".index(up[-1]) - 2, axis=1) * (-1 if up[0] == "-" else 1)
     poses = [look_at(np.zeros(3), turn, 0.3, 9.0, axis) for turn in range(3)]
-    save(folder / "c.json", Cameras([Camera(16, 16, 20.0, pose) for pose in poses]))
+    save(folder / "c.json", Cameras(tuple(Camera(16, 16, 20.0, pose) for pose in poses)))
     page = view_splats("s.ply", "s.html", cameras="c.json")
     assert isinstance(page.content, PageSplats)
     assert page.content.up == up

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,13 +42,14 @@ def test_a_splat_by_hand(page: PageSplats) -> None:
 
 
 def test_arrays_of_another_form_are_refused(page: PageSplats) -> None:
-    for name, wrong, said in (
+    cases: tuple[tuple[str, Any, str], ...] = (
         ("scales", page.scales.astype(np.int16), "page splats' scales has shape"),
         ("turns", page.turns[:, :3], "page splats' turns has shape"),
         ("rest", page.rest[:, :2], "with 3 coefficients"),
         ("places", page.places[:0], "are 0 with 4 coefficients"),
         ("scales", np.full_like(page.scales, 1024), "are too large"),
         ("turns", np.full_like(page.turns, 4), "are too large"),
-    ):
+    )
+    for name, wrong, said in cases:
         with pytest.raises(InvalidScene, match=said):
             replace(page, **{name: wrong})

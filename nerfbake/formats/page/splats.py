@@ -108,7 +108,8 @@ def _size(n: int, B: int) -> int:
 
 
 def _planes(splats: PageSplats) -> Iterator[bytes]:
-    steps = np.diff(splats.places.astype(np.int64), axis=0, prepend=0)
+    places = splats.places.astype(np.int64)
+    steps = places - np.concatenate([np.zeros((1, 3), np.int64), places[:-1]])
     yield from _columns(_zigzag(steps), 4)
     yield from _columns(splats.scales, 2)
     yield from _columns(splats.turns, 1)

@@ -182,8 +182,10 @@ def _facts(page: Page) -> dict[str, Any]:
     """Return the facts for the page's script. Positions and directions are in the world unless named otherwise."""
     if page.field:
         facts = _field_facts(page.content, page.field)
+    elif isinstance(page.content, PageSplats):
+        facts = splat_facts(page.content)
     else:
-        facts = (splat_facts if isinstance(page.content, PageSplats) else surface_facts)(page.content)
+        facts = surface_facts(page.content)
     facts |= {"background": page.background, "turns": page.turns, "lookup": page.lookup}
     centre, radius = np.array(facts["centre"]), facts["radius"]
     views = [_view(camera, centre, radius) for camera in page.cameras.cameras]
