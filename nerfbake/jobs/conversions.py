@@ -235,7 +235,8 @@ def _write_splats(
         splats.require_usable()
     (splats,) = turned_up(steps, source, require_up(in_up), splats)
     if splats.origin.any() and not module.KEEPS_ORIGIN:
-        steps.say(f"{target.name}: {lost_origin(splats.origin, form.suffix)}")
+        ending = form.title if isinstance(form, catalog.FolderKind) else form.suffix
+        steps.say(f"{target.name}: {lost_origin(splats.origin, ending)}")
         splats = replace(splats, origin=no_origin())
     if (ordered := getattr(module, "in_order", None)) is not None:  # so that rows can be compared
         splats = ordered(splats)
@@ -253,7 +254,8 @@ def _write_splats(
         elif form.library:
             found = form.load_stored_module().stored(kept, **options)
         else:
-            found = module.decode(memoryview(b"".join(module.encode(kept, **options))))
+            own = form.load_splat_module()
+            found = own.decode(memoryview(b"".join(own.encode(kept, **options))))
         loss = measure_splats(splats, found)
     left_out = "".join(f"; not read: {part}" for part in _not_read(splats))
     steps.say(f"{target.name}: {_loss_text(loss)}{left_out}")

@@ -102,9 +102,9 @@ def _made(
             splats = replace(splats.without_up(made.up), up=made.up)
         return SceneVariant(name, splats, made.psnr)
     if name == "mesh":
-        file, views = MeshFile(image="png"), options.mesh_views
+        file, pictures = MeshFile(image="png"), options.mesh_views
         mesh = bake_mesh(
-            source, path, pictures=views, options=options.mesh, file=file, functions=functions, steps=steps
+            source, path, pictures=pictures, options=options.mesh, file=file, functions=functions, steps=steps
         )
         psnrs.append(mesh.quality.psnr)
     else:

@@ -37,7 +37,7 @@ def stage_of(variant: SceneVariant, stem: str) -> UsdStage:
 
 def variant_stage(scene: SceneVariants, variants: Mapping[str, UsdVariant]) -> UsdStage:
     """Return the stage of these variants, with the loss of each."""
-    told = {
+    told: dict[str, UsdVariant] = {
         each.name: variants[each.name]._replace(facts={"psnr": each.psnr, "content": str(each.scene)})
         for each in scene.variants
     }

@@ -11,6 +11,7 @@ from nerfbake.errors import InvalidScene, Problem
 from nerfbake.formats.variants.usd_stage import inline, pictures_of, stage_of, variant_stage, volume_of
 from nerfbake.formats.volume import openvdb
 from nerfbake.formats.volume.usd_stage import VDB
+from nerfbake.formats.wire.usd.stage import UsdVariant
 from nerfbake.formats.wire.usd.text import encode_text
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.scene_variants import SceneVariants
@@ -36,5 +37,5 @@ def encode_files(scene: SceneVariants, stem: str) -> Iterator[tuple[str, Iterabl
 
 
 def _layer(scene: SceneVariants, stem: str) -> Iterator[bytes]:
-    variants = {each.name: inline(stage_of(each, stem)) for each in scene.variants}
+    variants: dict[str, UsdVariant] = {each.name: inline(stage_of(each, stem)) for each in scene.variants}
     return encode_text(variant_stage(scene, variants))

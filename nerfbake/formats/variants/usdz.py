@@ -23,7 +23,9 @@ def encode(scene: SceneVariants) -> Iterator[bytes | memoryview]:
     if volume_of(scene) is not None:
         raise InvalidScene(Problem("the volume", "cannot be in a .usdz", ".usda"))
     layers = [(f"{each.name}.usdc", list(encode_crate(stage_of(each, _STEM)))) for each in scene.variants]
-    variants = {each.name: UsdVariant(reference=f"./{each.name}.usdc") for each in scene.variants}
+    variants: dict[str, UsdVariant] = {
+        each.name: UsdVariant(reference=f"./{each.name}.usdc") for each in scene.variants
+    }
     root = list(encode_text(variant_stage(scene, variants)))
     pictures = [(name, [picture]) for name, picture in pictures_of(scene, _STEM)]
     return encode_package([("scene.usda", root), *layers, *pictures])

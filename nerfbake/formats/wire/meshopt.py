@@ -128,7 +128,7 @@ def _colour(rows: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
     alpha = alpha & most >> 1
     parts = luma + orange - green, luma + green, luma - orange - green, alpha << 1 | alpha & 1
     out = np.stack([np.floor(part * (full / most) + 0.5) for part in parts], axis=1)
-    return np.clip(out, 0, full).astype("<u2" if wide else "u1")
+    return np.asarray(np.clip(out, 0, full), "<u2" if wide else "u1")
 
 
 def _rounded(values: Floats, most: int) -> Floats:

@@ -57,13 +57,13 @@ def decode_attributes(data: Bytes, out: Bytes) -> bool:
         if at > end:
             return False
         for k in range(stride):
-            control = -1 if version == 0 else np.int64(data[controls + k // 4]) >> 2 * (k % 4) & 3
+            control: Any = -1 if version == 0 else np.int64(data[controls + k // 4]) >> 2 * (k % 4) & 3
             at = _fill_deltas(data, at, end, control, size, deltas[k])
             if at < 0:
                 return False
         for channel in range(stride // 4):
-            mode = np.int64(data[first + stride + channel]) if version == 1 else 0
-            _add_deltas(deltas, 4 * channel, mode, size, before, out[start : start + size])
+            kind: Any = np.int64(data[first + stride + channel]) if version == 1 else 0
+            _add_deltas(deltas, 4 * channel, kind, size, before, out[start : start + size])
     return bool(at == end)
 
 

@@ -103,5 +103,7 @@ def test_a_folder_that_is_read_or_has_other_files_is_not_replaced(tmp_path: Path
     (scene / "mine.txt").write_text("mine")
     with pytest.raises(OutputError, match=r"has 'mine.txt', which nerfbake did not write"):
         convert_splats(tmp_path / "a.ply", out)
+    save(tmp_path / "far.ply", replace(splats(8, degree=0), origin=np.array([4e5, 5e6, 0])))
+    assert not convert_splats(tmp_path / "far.ply", tmp_path / "far" / "meta.json").origin.any()
     with pytest.raises(UsageError, match="sog_folder takes no option 'half'"):
         convert_splats(tmp_path / "a.ply", tmp_path / "b" / "meta.json", choice=SplatChoice(half=True))
