@@ -395,6 +395,6 @@ def test_a_name_that_no_benchmark_has_is_refused() -> None:
     allowed = (
         "svo, formats, wires, vdb, access, render, outputs, batch, fit, papers, captures, mesh, inputs, splats, atlas, "
     )
-    allowed += "view, compress"
+    allowed += "view, compress, gpu"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"
