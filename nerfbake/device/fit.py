@@ -84,7 +84,7 @@ class UploadedView(NamedTuple):
     """The pixels of a view on the device. pixels, bent: see rays.wgsl."""
 
     camera: Pixels
-    count: int
+    size: int
     pixels: Buffer
     bent: Buffer | None
 
@@ -283,7 +283,7 @@ class FitPasses:
         flags = _FRESH * visit.fresh | _BENT * (visit.view.bent is not None) | _COUNTED * counted
         bricks = cells.bricks
         r, shells = bricks.top.shape[1], len(bricks.low)
-        record["counts"] = visit.view.count, view.width, visit.samples, flags, r, shells, slot, 0
+        record["counts"] = visit.view.size, view.width, visit.samples, flags, r, shells, slot, 0
         record["shells"][:shells, 0, :3] = (view.eye - bricks.low) / bricks.size
         record["shells"][:shells, 1, :3], record["shells"][:shells, 1, 3] = bricks.size, bricks.width
         return record
@@ -300,7 +300,7 @@ class FitPasses:
             angle = max(angle, _nearest_angle(bricks, cells.near[brick], int(brick), view.eye))
         rays = visit.samples**2
         # Towards the corners of a picture, a cell covers more pixels.
-        most = min(4 * (max(view.optics[:2]) * angle) ** 2 * rays, float(max(visit.view.count, 1) * rays))
+        most = min(4 * (max(view.optics[:2]) * angle) ** 2 * rays, float(max(visit.view.size, 1) * rays))
         unit = min(_STEPS, 2.0 ** floor(log2(_RANGE / (_SUM_OF_RAY * max(most, 1)))))
         if unit < _FEWEST_STEPS:
             allowed = f"{int(_RANGE / _SUM_OF_RAY / _FEWEST_STEPS):,} on a graphics device"
@@ -309,8 +309,8 @@ class FitPasses:
 
     def _reserve(self, visits: Sequence[Visit]) -> None:
         """Make the buffers of rays and pixels large enough."""
-        pixels = max(visit.view.count for visit in visits)
-        rays = max(visit.view.count * visit.samples**2 * (2 if visit.losses.distortion else 1) for visit in visits)
+        pixels = max(visit.view.size for visit in visits)
+        rays = max(visit.view.size * visit.samples**2 * (2 if visit.losses.distortion else 1) for visit in visits)
         if 16 * rays > self._rays.size or 16 * pixels > self._residuals.size:
             self._settle()
             self._bound.clear()
@@ -319,7 +319,7 @@ class FitPasses:
             self._residuals = self.gpu.empty(max(16 * pixels, min(20 * pixels, largest)), f"{pixels:,} pixels")
 
     def _dispatches(self, cells: _Cells, visit: Visit, slot: int) -> Iterator[Dispatch]:
-        pixels = visit.view.count
+        pixels = visit.view.size
         rays = -(-pixels * visit.samples**2 // _GROUP)
         for number, (begin, end, _) in enumerate(cells.parts):
             yield Dispatch(self._of_part("paint", number), end - begin, slot)

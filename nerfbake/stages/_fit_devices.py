@@ -227,7 +227,7 @@ class GpuFit:
         seen = self._measured[2]
         visits = [fit.Visit(view, samples, losses, np.ones(3), None) for view in seen]
         sums = self._passes.visit(visits, counted=True)
-        errors = [float(own) / (3 * view.count) for own, view in zip(sums[:, 0], seen, strict=True)]
+        errors = [float(own) / (3 * view.size) for own, view in zip(sums[:, 0], seen, strict=True)]
         return errors + [0.0] * (len(views.pictures) - len(seen))
 
     def rest(self) -> None:

@@ -204,7 +204,7 @@ class FitState:
         r = held["top"].shape[1]
         low, size, width = lattice_frame(held["box"], 8 * r, len(held["top"]) // r)
         bricks = BrickGrid(**made, low=low, size=size, width=width, corners=no_corners())
-        counters = dict(zip(COUNTERS, map(int, held["counters"]), strict=True))
+        counters: dict[str, Any] = dict(zip(COUNTERS, map(int, held["counters"]), strict=True))
         cells = BrickCells(bricks, held["means"], held["seen"])
         if len(held["raw"]):
             cells = _with_raw(cells, held["raw"], held["raw_means"])

@@ -28,8 +28,8 @@ def test_small_fits_and_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     save(data / "nerf_synthetic/chair/transforms_test.json", cameras)
     write_scene(data / "capture")
     options = ("--epochs", "cells=8,scale=2", "--basis", "SH1")
-    rows = (gpu.Row("small", "capture", options), gpu.Row("small", "capture", options, device="cpu"))
-    monkeypatch.setattr(gpu, "ROWS", (*rows, gpu.Row("absent", "nowhere", options)))
+    rows = gpu.Row("small", "capture", options), gpu.Row("absent", "nowhere", options)
+    monkeypatch.setattr(gpu, "ROWS", rows)
     monkeypatch.setattr(gpu, "DEVICE", software().split(" ")[0])
     monkeypatch.setattr(gpu, "_run", cache(gpu._run))  # the second run is as long as the first one
     monkeypatch.setattr(gpu, "FRAMES", 2)
@@ -38,9 +38,9 @@ def test_small_fits_and_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     files = run(benchmark, Scenes(data, tmp_path), rounds=1)
     assert tuple(files) == benchmark.files
     fits, pictures = (table["rows"] for table in json.loads(files["gpu.json"])["tables"])
-    assert [row["device"] for row in fits[:2]] == [software(), "cpu"]
-    assert all(float(row["PSNR dB"]) > 15 for row in fits[:2])
-    assert fits[2]["fit"].startswith("absent: ")
+    assert fits[0]["device"] == software()
+    assert float(fits[0]["PSNR dB"]) > 15
+    assert fits[1]["fit"].startswith("absent: ")
     assert [row["device"] for row in pictures] == [software(), "cpu"]
 
 
