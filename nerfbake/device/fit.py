@@ -89,7 +89,7 @@ class UploadedView(NamedTuple):
     bent: Buffer | None
 
 
-class Visit(NamedTuple):
+class DeviceVisit(NamedTuple):
     """One visit of a view. gains (3,). steps None: the view is only rendered. fresh: clear the blame before."""
 
     view: UploadedView
@@ -214,8 +214,8 @@ class FitPasses:
         """Return the number of visits that one call of visit() should make: about a second of work."""
         return int(min(max(_PER_CALL / self._seconds, 1), _RECORDS))
 
-    def visit(self, visits: Sequence[Visit], *, counted: bool = False) -> Floats:
-        """Visit views one after the other. Returns the sums (visits, SUMS) of march_view(); zeros unless counted.
+    def visit(self, visits: Sequence[DeviceVisit], *, counted: bool = False) -> Floats:
+        """DeviceVisit views one after the other. Returns the sums (visits, SUMS) of march_view(); zeros unless counted.
 
         Returns before the device has done the work, unless counted.
         """
@@ -229,7 +229,7 @@ class FitPasses:
             first += len(some)
         return sums
 
-    def _start(self, visits: Sequence[Visit], counted: bool) -> None:
+    def _start(self, visits: Sequence[DeviceVisit], counted: bool) -> None:
         """Submit the work of some visits."""
         cells, gpu = self._held(), self.gpu
         records = np.zeros(len(visits), _VIEW)
@@ -263,7 +263,7 @@ class FitPasses:
         low, high = words[:, : 2 * SUMS : 2].astype(np.float64), words[:, 1 : 2 * SUMS : 2].astype(np.float64)
         return np.asarray((low + high * 2.0**32) / _STEPS)
 
-    def _record(self, cells: _Cells, visit: Visit, slot: int, counted: bool) -> Any:
+    def _record(self, cells: _Cells, visit: DeviceVisit, slot: int, counted: bool) -> Any:
         view, losses, steps = visit.view.camera, visit.losses, visit.steps
         record = np.zeros((), _VIEW)
         record["optics"], record["turn"][:, :3] = view.optics, view.turn
@@ -288,7 +288,7 @@ class FitPasses:
         record["shells"][:shells, 1, :3], record["shells"][:shells, 1, 3] = bricks.size, bricks.width
         return record
 
-    def _steps_a_unit(self, cells: _Cells, visit: Visit) -> float:
+    def _steps_a_unit(self, cells: _Cells, visit: DeviceVisit) -> float:
         """Return how fine the sums are: the more rays meet one cell, the coarser, so that no sum leaves its range."""
         bricks, view = cells.bricks, visit.view.camera
         away = np.sqrt(np.square(cells.near[:, :3] - view.eye).sum(axis=1))
@@ -307,7 +307,7 @@ class FitPasses:
             raise DeviceError(Problem("a cell", f"may meet {int(most):,} rays of a view", allowed))
         return unit
 
-    def _reserve(self, visits: Sequence[Visit]) -> None:
+    def _reserve(self, visits: Sequence[DeviceVisit]) -> None:
         """Make the buffers of rays and pixels large enough."""
         pixels = max(visit.view.size for visit in visits)
         rays = max(visit.view.size * visit.samples**2 * (2 if visit.losses.distortion else 1) for visit in visits)
@@ -318,7 +318,7 @@ class FitPasses:
             self._rays = self.gpu.empty(max(16 * rays, min(20 * rays, largest)), f"{rays:,} rays of a view")
             self._residuals = self.gpu.empty(max(16 * pixels, min(20 * pixels, largest)), f"{pixels:,} pixels")
 
-    def _dispatches(self, cells: _Cells, visit: Visit, slot: int) -> Iterator[Dispatch]:
+    def _dispatches(self, cells: _Cells, visit: DeviceVisit, slot: int) -> Iterator[Dispatch]:
         pixels = visit.view.size
         rays = -(-pixels * visit.samples**2 // _GROUP)
         for number, (begin, end, _) in enumerate(cells.parts):

@@ -77,7 +77,7 @@ class FitOptions:
         request: dict[str, Any] = {"resolution": self.resolution, "samples": self.samples}
         minutes, edge = self.minutes, 0
         if minutes is not None and gpu is not None:
-            from nerfbake.stages.device_to_speed import measure_speed  # here, because a fit seldom needs it
+            from nerfbake.stages.fit_speed import measure_speed  # here, because a fit seldom needs it
 
             minutes = min(minutes * measure_speed(gpu), MAX_MINUTES)
         if views is not None:

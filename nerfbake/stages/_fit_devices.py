@@ -204,13 +204,13 @@ class GpuFit:
         return _STEADY if steady else self._passes.size()
 
     def visit(self, cells: BrickCells, visits: Sequence[Visit], *, counted: bool) -> Floats:
-        sums, ready = np.zeros((len(visits), SUMS)), dict[int, fit.Visit]()
+        sums, ready = np.zeros((len(visits), SUMS)), dict[int, fit.DeviceVisit]()
         for number, (visit, view) in enumerate(zip(visits, islice(self._looks, len(visits)), strict=True)):
             self._fresh |= visit.fresh
             if view is not None:
                 gains = np.ones(3) if visit.gains is None else visit.gains
                 samples = round(visit.steps.rays**0.5)
-                ready[number] = fit.Visit(view, samples, visit.losses, gains, visit.steps, self._fresh)
+                ready[number] = fit.DeviceVisit(view, samples, visit.losses, gains, visit.steps, self._fresh)
                 self._fresh = False
         if ready:
             self._upload(cells)
@@ -225,7 +225,7 @@ class GpuFit:
             self._measured = views, samples, seen
         self._upload(cells)
         seen = self._measured[2]
-        visits = [fit.Visit(view, samples, losses, np.ones(3), None) for view in seen]
+        visits = [fit.DeviceVisit(view, samples, losses, np.ones(3), None) for view in seen]
         sums = self._passes.visit(visits, counted=True)
         errors = [float(own) / (3 * view.size) for own, view in zip(sums[:, 0], seen, strict=True)]
         return errors + [0.0] * (len(views.pictures) - len(seen))

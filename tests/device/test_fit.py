@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from nerfbake.device.fit import FitPasses, Losses, Pixels, Visit
+from nerfbake.device.fit import DeviceVisit, FitPasses, Losses, Pixels
 from nerfbake.device.gpu import Gpu
 from nerfbake.errors import DeviceError
 from nerfbake.kernels.arrays import Singles
@@ -67,7 +67,7 @@ def visited(gpu: Gpu, make: Callable[[], BrickGrid], views: int, losses: Losses,
     passes.upload(theirs.grid, theirs.means, theirs.seen)
     for seed in range(views):
         view = pixels(seed)
-        visit = Visit(passes.upload_view(view), SAMPLES, losses, gains, STEPS, seed == 0)
+        visit = DeviceVisit(passes.upload_view(view), SAMPLES, losses, gains, STEPS, seed == 0)
         sums = own.visit(view, losses, gains)
         assert_allclose(passes.visit([visit], counted=True)[0], sums, rtol=1e-5 if views == 1 else 1e-3)
     passes.read_back(theirs.grid, theirs.means, theirs.seen)
@@ -128,7 +128,9 @@ def test_sums_are_coarser_where_many_rays_meet_a_cell_and_the_steps_are_the_same
     unit = [
         passes._steps_a_unit(
             cells,
-            Visit(passes.upload_view(view._replace(optics=(f, f, 12.0, 12.0))), 2, Losses(2.5), np.ones(3), STEPS),
+            DeviceVisit(
+                passes.upload_view(view._replace(optics=(f, f, 12.0, 12.0))), 2, Losses(2.5), np.ones(3), STEPS
+            ),
         )
         for f in (20.0, 2000.0)
     ]
@@ -138,7 +140,7 @@ def test_sums_are_coarser_where_many_rays_meet_a_cell_and_the_steps_are_the_same
         eye=np.array([0.5, 0.5, 0.5]), numbers=numbers, targets=np.resize(view.targets, (2_000_000, 4))
     )
     with pytest.raises(DeviceError, match=r"a cell may meet 8,000,000 rays of a view; allowed: 131,072"):
-        passes._steps_a_unit(cells, Visit(passes.upload_view(inside), 2, Losses(2.5), np.ones(3), STEPS))
+        passes._steps_a_unit(cells, DeviceVisit(passes.upload_view(inside), 2, Losses(2.5), np.ones(3), STEPS))
 
 
 def test_a_stage_that_a_binding_cannot_hold_is_one_line(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,7 +57,7 @@ def test_without_a_card_nothing_is_told(trainer: FakeFit, capture: Path, listene
 
 
 def test_minutes_are_those_of_the_card(trainer: FakeFit, capture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerfbake.stages.device_to_speed.measure_speed", lambda _: 10.0)
+    monkeypatch.setattr("nerfbake.stages.fit_speed.measure_speed", lambda _: 10.0)
     monkeypatch.setattr("nerfbake.jobs.fits.measure_views", lambda *_, **__: (_ for _ in ()).throw(UsageError("stop")))
     epochs = []
     for device in "cpu", "gpu":

@@ -19,7 +19,7 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "installation": ({"errors"}, set()),
     "kernels": ({"errors", "memory", "progress", "kernels"}, {"numpy", "numba"}),
     "scene": ({"errors", "memory", "progress", "kernels", "scene"}, {"numpy"}),
-    "device": ({"errors", "installation", "memory", "device"}, {"numpy"}),
+    "device": ({"errors", "installation", "memory", "kernels", "device"}, {"numpy"}),
     "stages": ({"errors", "memory", "progress", "kernels", "device", "scene", "stages"}, {"numpy"}),
     "contract": ({"errors"}, set()),
     "formats": (

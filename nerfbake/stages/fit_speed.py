@@ -1,4 +1,4 @@
-"""A graphics device -> how much faster than two cores it fits."""
+"""How much faster than two cores a graphics device fits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from nerfbake.device.fit import FitPasses, Losses, Pixels, Visit
+from nerfbake.device.fit import DeviceVisit, FitPasses, Losses, Pixels
 from nerfbake.device.gpu import Gpu
 from nerfbake.kernels.fit.colours import tile_order
 from nerfbake.kernels.fit.update import LearningRates
@@ -35,7 +35,7 @@ def measure_speed(gpu: Gpu) -> float:
     eye, turn = np.array([0.0, 0.0, 2.0]), np.eye(3)
     pixels = Pixels(numbers.reshape(-1).astype(np.int32), targets, eye, turn, optics, _PIXELS, (1.0, 1.0, 1.0))
     view, ones = passes.upload_view(pixels), np.ones(_BASIS, np.float32)
-    visit = Visit(view, 2, Losses(2.0), np.ones(3), LearningRates(0.1, 0.4, ones, 0.01 * ones, 4.0))
+    visit = DeviceVisit(view, 2, Losses(2.0), np.ones(3), LearningRates(0.1, 0.4, ones, 0.01 * ones, 4.0))
     passes.visit([visit], counted=True)
     start = time.perf_counter()
     passes.visit([visit] * _VISITS, counted=True)
