@@ -19,7 +19,7 @@ def ground(x: Floats, y: Floats, *, plain: bool = False) -> Floats:
     """A pattern of waves of many directions and lengths, 0 to 255."""
     waves = np.random.default_rng(0).normal(0, 5, (40, 2))
     grey = sum(np.sin(x * a + y * b + i) for i, (a, b) in enumerate(waves.tolist()))
-    return 128 + (0 if plain else 16) * np.clip(grey, -7, 7)
+    return np.asarray(128 + (0 if plain else 16) * np.clip(grey, -7, 7), np.float64)
 
 
 def above(lens: Lens | None = None, *, edge: int = EDGE, plain: bool = False, block: float = 0.0) -> Views:
