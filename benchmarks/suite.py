@@ -37,6 +37,7 @@ SUITE = (
     Benchmark("outputs", ("outputs.md",)),
     Benchmark("batch", ("batch.md",)),
     Benchmark("fit", ("fit.md", "fit.svg")),
+    Benchmark("cores", ("cores.md",)),
     Benchmark("papers", ("papers.md", "papers.svg")),
     Benchmark("captures", ("captures.md", "captures.svg", "captures_views.png")),
     Benchmark("mesh", ("mesh.md", "mesh.svg")),

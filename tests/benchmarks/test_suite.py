@@ -35,7 +35,7 @@ from tests.support.browser import with_a_browser_of_its_own
 from tests.support.outputs import read_output
 
 SHORT = ("--epochs", "cells=32,scale=2,epochs=1,density=0.05/cells=32,epochs=1,split=0.3", "--basis", "SH1")
-SHARED = {"__init__", "__main__", "aims", "browser", "processes", "promises", "scenes", "suite"}
+SHARED = {"__init__", "__main__", "aims", "alone", "browser", "processes", "promises", "scenes", "suite"}
 
 
 def once(*works: Callable[[], Any], rounds: int) -> list[list[Any]]:
@@ -392,9 +392,7 @@ def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missi
 def test_a_name_that_no_benchmark_has_is_refused() -> None:
     command = [sys.executable, "-m", "benchmarks", "svo", "speed"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    allowed = (
-        "svo, formats, wires, vdb, access, render, outputs, batch, fit, papers, captures, mesh, inputs, splats, atlas, "
-    )
-    allowed += "view, compress, gpu"
+    allowed = "svo, formats, wires, vdb, access, render, outputs, batch, fit, cores, papers, captures, mesh, inputs, "
+    allowed += "splats, atlas, view, compress, gpu"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: no benchmark is called 'speed'; allowed: {allowed}\n"
