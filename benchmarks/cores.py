@@ -91,7 +91,7 @@ def _fastest(command: Command, words: list[str], threads: int, folder: Path, rou
     facts, found = folder / "facts.json", list[Run]()
     while len(found) < rounds:
         with announced(f"{command.name} with {threads} threads"):
-            run = (sys.executable, "-m", "benchmarks.alone", facts, *words)
+            run = (sys.executable, "-m", "benchmarks.alone", str(facts), *words)
             result = measure_process(*run, environment={"NUMBA_NUM_THREADS": str(threads)})
         told = json.loads(facts.read_text())
         if not told["compiled"]:
