@@ -58,8 +58,9 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     ),
     "Gaussian splats": (
         nerfbake,
-        "scene.splats scene.splat_levels scene.scene_variants stages.splats_to_image stages.splats_to_octree stages.field_to_splats"
-        " stages.views_to_splats stages.splats_to_loss stages.splats_to_splats stages.splats_to_up",
+        "scene.splats scene.splat_levels scene.scene_variants stages.splats_to_image stages.splats_to_octree"
+        " stages.field_to_splats stages.views_to_splats stages.splats_to_loss stages.splats_to_splats"
+        " stages.splats_to_up",
     ),
     "Baking atlases": (
         nerfbake,

@@ -385,9 +385,8 @@ def folders_of(scene: str) -> list[FolderKind]:
 def folder_to_write(scene: str) -> FolderKind:
     """Return the kind of folder that this scene type is written as. Raises UsageError."""
     written = [kind for kind in FOLDERS if kind.writable]
-    for kind in written:
-        if kind.scene == scene:
-            return kind
+    if found := [kind for kind in written if kind.scene == scene]:
+        return found[0]
     known = ", ".join(dict.fromkeys(kind.scene for kind in written))
     raise UsageError(f"a {scene} cannot be written as a folder; allowed: {known}")
 
@@ -447,10 +446,7 @@ def dialects_in(files: contract.HeadedFiles) -> list[tuple[Dialect, str]]:
 
 
 def cameras_to_write(ending: str, to: str | None) -> AnyFormat | Dialect | None:
-    """Return what cameras are written as, by the extension of OUT or by `to`; None for what stores other scenes.
-
-    A stage of USD stores cameras and other scenes.
-    """
+    """Return what cameras are written as, by the extension of OUT or by `to`; None for what stores other scenes."""
     known: dict[str, AnyFormat | Dialect] = {form.written_as: form for form in DIALECTS if form.written_as}
     known |= {kind.name: kind for kind in folders_of("Cameras") if kind.writable}
     if to is not None and to in known:
@@ -485,8 +481,7 @@ def format_of_content(path: str, view: memoryview, *wanted: str) -> Format:
     """Return the format of a file or stream to read: by its extension, then by its content.
 
     The content decides if several formats remain. A stage of USD may have several kinds of scenes: of these, the first
-    that is `wanted`, by its name, is returned.
-    A stream has no extension, and some extensions contain others: an octree's .svo.npz may have been renamed to .npz.
+    that is `wanted`, by its name, is returned. A stream has no extension, and an octree's .svo.npz may be named .npz.
     """
     known = [form for form in FORMATS if form.readable]
     by_ending = [form for form in known if path.lower().endswith(form.suffix)]

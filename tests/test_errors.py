@@ -24,7 +24,7 @@ from tests.support.source import parsed
 
 PACKAGE = Path(nerfbake.__file__).parent
 # A command line of its own, CSS, and the options of pip and uv.
-FLAGS = {"batch/items.py", "formats/wire/page.py", "installation.py"}
+FLAGS = {"batch/items.py", "formats/page/shipment.py", "formats/wire/page.py", "installation.py"}
 
 
 def test_a_short_line_stays_as_it_is() -> None:

@@ -18,9 +18,9 @@ from nerfbake.cli.params import (
     octree_target_argument,
     source_argument,
     without_effect,
-    world_options,
 )
 from nerfbake.cli.splat_files import splat_file_options
+from nerfbake.cli.world_params import world_options
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 

@@ -23,11 +23,11 @@ from nerfbake.cli.params import (
     sh_bases,
     target_argument,
     without_effect,
-    world_options,
 )
 from nerfbake.cli.paths import MeshOutput, PhotographsPath, Reads, StateFolder, Writes
 from nerfbake.cli.render import Background
 from nerfbake.cli.reports import require_chart, save_bytes
+from nerfbake.cli.world_params import world_options
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 

@@ -400,26 +400,6 @@ device_option = click.option(
 )
 
 
-def world_options(default: str) -> Callable[[Command], Command]:
-    """Add --scale, whose default is this text, and --ground; pass the command `world`, a WorldOptions."""
-    return bundled(
-        "world",
-        "jobs.world.WorldOptions",
-        click.option(
-            "--scale",
-            metavar="gps|NAME1,NAME2=1.2m|none",
-            help="Unit of the world. gps: metres, x east, y north, z up, by the positions in the photographs. "
-            f"NAME1,NAME2=1.2m: the distance between two photographs (m, cm or mm).  [default: {default}]",
-        ),
-        click.option(
-            "--ground",
-            is_flag=True,
-            help="Turn the world so that z points up and is 0 on the ground, the largest plane of sparse points below "
-            "the cameras.",
-        ),
-    )
-
-
 def _check_budget(budget: Budget) -> None:
     if budget.min_psnr is None:
         for name in ("cameras", "samples", "device"):

@@ -7,8 +7,9 @@ from typing import Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import as_json, console_options, max_memory, world_options
+from nerfbake.cli.params import as_json, console_options, max_memory
 from nerfbake.cli.paths import PhotographsWithPoses
+from nerfbake.cli.world_params import world_options
 from nerfbake.console import Console
 
 

@@ -26,6 +26,7 @@ from nerfbake.installation import is_installed
 from nerfbake.jobs import budgets
 from nerfbake.jobs.compressions import compress_file
 from nerfbake.jobs.conversions import convert_file, convert_splats
+from nerfbake.jobs.devices import DEVICE, renderer_on
 from nerfbake.jobs.files import AnySource, FolderTarget, Source, as_source
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.function_voxels import FunctionVoxels
@@ -47,6 +48,7 @@ from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.shipment import Judgement, SharedStep, Shipment, ShippedFile
 from nerfbake.scene.splats import Splats
 from nerfbake.stages.picture import Visible, render_picture
+from nerfbake.stages.renderers import Renderer
 from nerfbake.stages.scenes_to_comparison import compare_scenes
 from nerfbake.stages.splat_box import with_z_up
 
@@ -72,12 +74,14 @@ class ShippedViews:
     views        a capture; None: pictures of the scene, from all sides
     photographs  options for its photographs
     frames       number of rendered pictures; edge: their width and height in pixels
+    device       what renders fields, also when the files are judged, as in renderer_on()
     """
 
     views: str | None = None
     photographs: PhotographOptions = PhotographOptions()
     frames: int = 100
     edge: int = budgets.EDGE
+    device: str = DEVICE
 
     @property
     def inputs(self) -> tuple[str | None, ...]:
@@ -134,12 +138,13 @@ def ship_file(
     pictures.photographs.require()
     if source.path == io.STREAM:
         raise UsageError("ship reads IN several times; allowed: a file, not stdin")
+    render = renderer_on(pictures.device, steps=steps)
     place.require(CONTENTS, (source.path, *pictures.inputs, cameras, functions.seen_from))
     with io.blame(place.path, OutputError), io.replacing_folder(Path(place.path), CONTENTS, force=place.force) as out:
         with tempfile.TemporaryDirectory(dir=out) as work:
             told = _Renamed(steps, _names(Path(work), source.name) | {str(out): place.path})
             workshop = _Workshop(told, source, Path(work), pictures, options, functions)
-            shipment = _shipped(told, workshop, out, wanted, tuple(dict.fromkeys(targets)), cameras, source)
+            shipment = _shipped(told, workshop, out, wanted, tuple(dict.fromkeys(targets)), cameras, source, render)
         io.save(out / _PAGE, shipment)
         with io.replacing(out / _FACTS, force=False) as file:
             file.write(f"{io.json_line(shipment.facts)}\n".encode())
@@ -292,6 +297,7 @@ class _Judge(NamedTuple):
     original: Visible
     views: Cameras
     pictures: list[Image]
+    render: Renderer
 
     def judge(self, path: Path, listed: ListedFile) -> Judgement:
         """Read a file back, and compare its pictures with those of the scene. Raises NerfbakeError."""
@@ -300,7 +306,7 @@ class _Judge(NamedTuple):
             if isinstance(made, Splats):
                 made = made.without_up("z")  # in the files -y is up, in the scene z
             _, made = in_one_world(self.steps, [(self.name, self.original), (str(path), made)])
-            found = compare_scenes(self.original, made, self.views, pictures_of_a=self.pictures)
+            found = compare_scenes(self.original, made, self.views, pictures_of_a=self.pictures, render=self.render)
         number = min(range(len(found.views)), key=lambda i: found.views[i]["a_b"]["psnr"])
         worst, mean = found.views[number], found.means["a_b"]
         row = list(found.rows())[number]
@@ -346,6 +352,7 @@ def _shipped(
     targets: tuple[str, ...],
     cameras: str | None,
     source: Source,
+    render: Renderer,
 ) -> Shipment:
     """Make and judge all files. Raises NerfbakeError if the scene itself cannot be read or rendered."""
     name, original = source.name, workshop.original
@@ -357,9 +364,10 @@ def _shipped(
         views.require_memory(pictures=4)
     with source.blamed(steps, f"rendering {len(views.cameras)} pictures"):
         seen = [
-            render_picture(original, camera, samples=views.samples) for camera in progress.each(list(views.cameras))
+            render_picture(original, camera, samples=views.samples, render=render)
+            for camera in progress.each(list(views.cameras))
         ]
-    judge = _Judge(steps, name, original, views, seen)
+    judge = _Judge(steps, name, original, views, seen, render)
     files = tuple(_made(steps, workshop, judge, out / file, each) for file, each in wanted.items())
     width, height = seen[0].size
     where = f"around the scene, {width}x{height} pixels" if cameras is None else f"of {cameras}"

@@ -8,6 +8,7 @@ from dataclasses import replace
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget, judge_output
+from nerfbake.jobs.devices import DEVICE
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.pages import Colour, read_previews, written_or_opened
@@ -38,6 +39,7 @@ def view_splats(
     min_psnr: float | None = None,
     title: str | None = None,
     background: Colour | None = None,
+    device: str = DEVICE,
     steps: Steps = SILENT,
 ) -> Page:
     """Write a page that draws splats in any browser, and return it. This is `nerfbake view --as splats`.
@@ -45,7 +47,8 @@ def view_splats(
     The scene is splats, or any scene with a field, to which splats are fitted as by bake_splats(). Its world is kept,
     so that cameras copied from the page are those of `nerfbake render`. Up is the axis that the file states; else that
     next to the cameras' mean up; without cameras -y. The other arguments are those of view_file(); min_psnr is the
-    lowest allowed mean PSNR of the page against the splats. Raises NerfbakeError.
+    lowest allowed mean PSNR of the page against the splats, and device renders the pictures that a field's splats are
+    fitted to. Raises NerfbakeError.
 
     >>> page = view_splats("a.ply", "splats.html", min_psnr=45)
     >>> page.content.n <= 400
@@ -58,7 +61,7 @@ def view_splats(
     with written_or_opened(target) as file:
         file.require("Page")
         budget.require(file)
-        splats = _read(steps, source, functions)
+        splats = _read(steps, source, functions, device)
         views, first = page_views(steps, splats, cameras, name=source.name)
         if splats.up is None and cameras is not None:
             splats = replace(splats, up=_up_of(views))
@@ -81,7 +84,7 @@ def view_splats(
     return made
 
 
-def _read(steps: Steps, source: Source, functions: FunctionVoxels) -> Splats:
+def _read(steps: Steps, source: Source, functions: FunctionVoxels, device: str) -> Splats:
     """Return the splats of a source, or splats fitted to its field."""
     reading = Reading(steps, source, functions=functions)
     reading.require()
@@ -94,7 +97,7 @@ def _read(steps: Steps, source: Source, functions: FunctionVoxels) -> Splats:
         return splats
     reading.use_inner_cube()
     field = reading.field(visible="nothing to fit splats to")
-    split = SplatsViews().split(steps, source, field)
+    split = SplatsViews(device=device).split(steps, source, field)
     steps.say(f"{source.name}: fits splats to {split.training}, measures on {split.held_out}")
     with source.blamed(steps, "choosing leaves"):
         splats = build_splats(field, count=COUNT)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.scene.base import Scene
+from nerfbake.scene.compact_repr import CompactRepr
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.volume import Volume
@@ -15,21 +16,39 @@ Representation = Literal["splats", "mesh", "volume"]
 REPRESENTATIONS: dict[Representation, type] = {"splats": Splats, "mesh": Meshes, "volume": Volume}
 
 
-class SceneVariant(NamedTuple):
+@dataclass(frozen=True, eq=False, repr=False)
+class SceneVariant(CompactRepr):
     """A representation of a scene.
 
     scene  the splats, the meshes or the volume; z is up in splats that say so and in meshes, y in a volume
     psnr   mean PSNR of its pictures against those of the scene that it was made of, in dB
+
+    >>> import numpy as np
+    >>> from nerfbake import Splats, SceneVariant
+    >>> one, turn = np.full((1, 3), 0.1, np.float32), np.array([[1, 0, 0, 0]], np.float32)
+    >>> SceneVariant("splats", Splats(one, one, turn, np.ones(1, np.float32), one[:, None]), 31.5)
+    <SceneVariant: splats, 31.50 dB (1 splat of SH degree 0)>
     """
 
     name: Representation
     scene: Splats | Meshes | Volume
     psnr: float
 
+    def __str__(self) -> str:
+        return f"{self.name}, {self.psnr:.2f} dB ({self.scene})"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SceneVariants(Scene):
-    """A scene in several representations, each once. A viewer shows the first, unless its user chooses another."""
+    """A scene in several representations, each once. A viewer shows the first, unless its user chooses another.
+
+    >>> import numpy as np
+    >>> from nerfbake import Splats, SceneVariant, SceneVariants
+    >>> one, turn = np.full((1, 3), 0.1, np.float32), np.array([[1, 0, 0, 0]], np.float32)
+    >>> splats = Splats(one, one, turn, np.ones(1, np.float32), one[:, None])
+    >>> SceneVariants((SceneVariant("splats", splats, 31.5),))
+    <SceneVariants: variants: splats, 31.50 dB (1 splat of SH degree 0)>
+    """
 
     variants: tuple[SceneVariant, ...]
 
@@ -47,5 +66,4 @@ class SceneVariants(Scene):
         return [problem for variant in self.variants for problem in variant.scene.value_problems()]
 
     def __str__(self) -> str:
-        parts = (f"{variant.name}, {variant.psnr:.2f} dB ({variant.scene})" for variant in self.variants)
-        return f"variants: {'; '.join(parts)}"
+        return f"variants: {'; '.join(map(str, self.variants))}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,7 @@ def test_every_command_that_writes_a_folder_is_in_this_list() -> None:
     words = re.compile(r"\b(FolderTarget|replacing_folder|save_files|save_folder|saving_folder)\b")
     jobs = {path.stem for path in (REPOSITORY / "nerfbake/jobs").glob("*.py") if words.search(path.read_text())}
     known = {"atlases", "budgets", "cameras", "files", "lattices", "meshes", "poses", "samples", "shaders", "shipments"}
+    known |= {"fit_state", "splats"}  # levels of splats
     assert jobs == known
 
 
@@ -69,6 +71,7 @@ def place(tmp_path: Path, tree_file: Path, sample: Path, monkeypatch: pytest.Mon
     (tmp_path / "home").mkdir()
     (tmp_path / "link").symlink_to("work")
     monkeypatch.setattr("nerfbake.jobs.readings._EDGE", 8)  # of the pictures on which they are measured
+    import_module("nerfbake.jobs.shipments")  # whose defaults are made of it
     monkeypatch.setattr("nerfbake.jobs.budgets.EDGE", 8)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.chdir(work)

@@ -59,7 +59,7 @@ def test_options_without_effect_are_refused(
         (["atlas", "in", "", "--force"], "'[STAGE1_DIR] OUT_DIR'"),
         (["shaders", "", "--force"], "'[OUT_DIR]'"),
         (["lattice", "a.npz", "", "--force"], "'OUT_DIR'"),
-        (["info", ""], "'IN'"),
+        (["info", ""], "'[IN]'"),
         (["svo", "a.npz", ""], "'OUT'"),
         (["render", "a.npz", "--mesh", "", "--out", "a.png"], "'--mesh'"),
         (["compare", "a.npz", "a.npz", "--html", ""], "'--html'"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from tests.cli.telling import told
 @pytest.fixture(autouse=True)
 def scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    import_module("nerfbake.jobs.shipments")  # whose defaults are made of it
     monkeypatch.setattr("nerfbake.jobs.budgets.EDGE", 32)
     save("a.npz", sample_n3tree(resolution=8, basis="SH4"))
 

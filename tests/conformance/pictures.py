@@ -18,6 +18,7 @@ from nerfbake import load
 from nerfbake.scene.comparison import AMPLIFIED, Comparison
 from nerfbake.scene.environment import EnvironmentMap
 from nerfbake.scene.image import Animation, Depth, Image
+from nerfbake.scene.shipment import Judgement, ReadingProgram, SharedStep, Shipment, ShippedFile
 from tests.conformance.case import Case, Facts, Frozen, floats, form_named
 
 Pixels = list[list[list[int]]]
@@ -51,6 +52,7 @@ def cases() -> Iterator[Case]:
     yield from _moving()
     yield from _lights()
     yield _page()
+    yield _receipt()
 
 
 def image(pixels: Any) -> Image:
@@ -157,6 +159,28 @@ def _page() -> Case:
     }
     about = "A comparison: every figure in a `data` element, a row of pictures for each view."
     return Case("picture/page", about, files, facts, _told)
+
+
+def _receipt() -> Case:
+    a, b = OPAQUE, OPAQUE[::-1]
+    shown = image(a), image(b), image(_difference(a, b))
+    readers = ReadingProgram("Blender", "5.0", "shows <it>", "ran"), ReadingProgram("Kit", "", "", "not run")
+    judged = Judgement(31.5, 0.25, "front & left", 30.5, "read by nerfbake", shown)
+    made = ShippedFile("scene.vdb", ("blender",), "a volume", readers, 1_230_000, 1.5, 2.5, judged, "")
+    failed = ShippedFile("mesh.usdz", ("ios",), "a mesh", (), 0, 0.0, 0.0, None, "no <memory>")
+    shipment = Shipment(
+        "a & b.npz", "a PlenOctree", ("blender", "ios"), (made, failed), (SharedStep("splats", 3.5, 4.5),), "8 views"
+    )
+    facts: Facts = {
+        "title": "a & b.npz: receipt",
+        "verdict": "Failed: mesh.usdz",
+        # In the page's order: MB, PSNR, the worst view, the largest error, seconds; the shared step; the worst view.
+        "figures": [1.23, 31.5, 30.5, 0.25, 1.5, 3.5, 4.5, 30.5],
+        "views": [],
+        "pictures": [a, b, _difference(a, b)],
+    }
+    files = {"picture/receipt.html": Frozen(form_named("html", "Shipment"), shipment)}
+    return Case("picture/receipt", "A receipt of a shipment, of which a file failed.", files, facts, _told)
 
 
 def _difference(a: Pixels, b: Pixels) -> Pixels:

@@ -81,6 +81,7 @@ def test_every_command_that_renders_a_field_does_it_on_the_device(
         each = __call__
 
     monkeypatch.setattr(devices, "open_device", str)
+    monkeypatch.setattr("nerfbake.jobs.refits.open_device", str)
     monkeypatch.setattr(devices, "DeviceRenderer", Refusing)
     save("a.svo.pb", build_octree(sample_n3tree(resolution=8)))
     Path("a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")

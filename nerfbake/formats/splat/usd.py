@@ -28,7 +28,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.splat.glb import placed_splats
-from nerfbake.formats.wire.usd.content import has_type
+from nerfbake.formats.wire.usd.content import VARIANTS, has_type, selected_variant
 from nerfbake.formats.wire.usd.reading import StagePrim, read_stage
 from nerfbake.formats.wire.usd.stage import Attribute, Prim, UsdStage
 from nerfbake.kernels.arrays import Floats
@@ -107,8 +107,8 @@ def _extent(scene: Splats) -> npt.NDArray[np.float32]:
 
 # -- reading ---------------------------------------------------------------------------------------------------
 def recognise(view: memoryview) -> bool:
-    """Return True for a file of USD that names the type of these prims."""
-    return has_type(view, KIND)
+    """Return True for a file of USD that names the type of these prims, and selects no variant without them."""
+    return has_type(view, KIND) and selected_variant(view, VARIANTS) in (None, "splats")
 
 
 def decode(view: memoryview) -> Splats:

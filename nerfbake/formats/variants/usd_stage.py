@@ -16,13 +16,12 @@ from typing import cast
 from nerfbake.formats.mesh.usd_stage import mesh_stage, textures_of
 from nerfbake.formats.splat.usd import splat_stage
 from nerfbake.formats.volume.usd_stage import volume_stage
+from nerfbake.formats.wire.usd.content import VARIANTS
 from nerfbake.formats.wire.usd.stage import Prim, UsdStage, UsdVariant
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.scene_variants import SceneVariant, SceneVariants
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.volume import Volume
-
-SET = "representation"
 
 
 def stage_of(variant: SceneVariant, stem: str) -> UsdStage:
@@ -41,7 +40,7 @@ def variant_stage(scene: SceneVariants, variants: Mapping[str, UsdVariant]) -> U
         each.name: variants[each.name]._replace(facts={"psnr": each.psnr, "content": str(each.scene)})
         for each in scene.variants
     }
-    return UsdStage(Prim("scene", "Xform", variant_set=SET, variants=told), "Y")
+    return UsdStage(Prim("scene", "Xform", variant_set=VARIANTS, variants=told), "Y")
 
 
 def inline(stage: UsdStage) -> UsdVariant:

@@ -17,6 +17,7 @@ from nerfbake.formats.wire.usd import crate, text
 from nerfbake.formats.wire.zip_reader import MAX_MEMBERS, ZIP_MAGIC, ZipReader, npz_keys
 
 LAYERS = (".usda", ".usdc", ".usd")
+VARIANTS = "representation"  # the set of variants that nerfbake writes: the same scene as splats, mesh, volume
 _MOST_TOKENS = 1 << 20  # bytes that are looked at
 _LONGEST = 200  # characters of a name
 
@@ -44,6 +45,20 @@ def has_type(view: memoryview, *names: str) -> bool:
     if bytes(view[: len(text.MAGIC)]) == text.MAGIC:
         return re.search(rb"\b(?:def|over|class)\s+(?:%b)\b" % "|".join(names).encode(), view) is not None
     return not {name.encode() for name in names}.isdisjoint(_tokens(view).split(b"\0"))
+
+
+def selected_variant(view: memoryview, variant_set: str) -> str | None:
+    """Return the selection of a set of variants in a layer of text, or in that of a package; None if there is none."""
+    if bytes(view[:4]) in ZIP_MAGIC:
+        with suppress(NerfbakeError):
+            archive = ZipReader(view, "a .usdz")
+            for name in archive.members:
+                if name.endswith(LAYERS) and (found := selected_variant(archive.unpacked(name, name), variant_set)):
+                    return found
+        return None
+    found_here = re.search(rb'\bstring %b = "(\w+)"' % variant_set.encode(), view[:_MOST_TOKENS])
+    is_text = bytes(view[: len(text.MAGIC)]) == text.MAGIC
+    return found_here[1].decode() if is_text and found_here else None
 
 
 def is_usd(view: memoryview) -> bool:
