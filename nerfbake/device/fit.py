@@ -122,7 +122,8 @@ class FitPasses:
         self._cells: _Cells | None = None
         self._bound: dict[Any, Bound] = {}
         self._units: dict[Any, float] = {}
-        self._pending: tuple[Download, float, int] | None = None
+        self._pending: list[tuple[Download, float, int]] = []
+        self._settled = 0.0  # when the last work ended
         self._seconds = inf  # of a visit
 
     # -- the cells of a stage ------------------------------------------------------------------------------------
@@ -235,7 +236,6 @@ class FitPasses:
         records = np.zeros(len(visits), _VIEW)
         for slot, visit in enumerate(visits):
             records[slot] = self._record(cells, visit, slot, counted)
-        self._settle()
         started = time.perf_counter()
         stride = self._records.stride
         padded = np.zeros((len(visits), stride), np.uint8)
@@ -248,20 +248,22 @@ class FitPasses:
             if (slot + 1) % max(int(_PER_SUBMIT / self._seconds), 1) == 0 or slot + 1 == len(visits):
                 gpu.submit(work)
                 work = []
-        self._pending = gpu.read_later(self._totals, np.uint32, _SLOT * len(visits)), started, len(visits)
+        self._pending.append((gpu.read_later(self._totals, np.uint32, _SLOT * len(visits)), started, len(visits)))
+        self._settle(running=1)  # the device has this work while the next is prepared
 
-    def _settle(self) -> Floats:
-        """Wait for the visits that were started, and return their sums (visits, SUMS)."""
-        if self._pending is None:
-            return np.zeros((0, SUMS))
-        reading, started, count = self._pending
-        self._pending = None
-        words = reading.take().reshape(count, _SLOT)
-        self._seconds = (time.perf_counter() - started) / count
-        if words[:, _SLOT - 1].any():
-            raise DeviceError(f"{self.gpu.name}: a sum of a cell is out of range")
-        low, high = words[:, : 2 * SUMS : 2].astype(np.float64), words[:, 1 : 2 * SUMS : 2].astype(np.float64)
-        return np.asarray((low + high * 2.0**32) / _STEPS)
+    def _settle(self, *, running: int = 0) -> Floats:
+        """Wait for what was started, but for the last `running` calls; return the sums (visits, SUMS) of the last."""
+        sums = np.zeros((0, SUMS))
+        while len(self._pending) > running:
+            reading, started, count = self._pending.pop(0)
+            words = reading.take().reshape(count, _SLOT)
+            now = time.perf_counter()
+            self._seconds, self._settled = (now - max(started, self._settled)) / count, now
+            if words[:, _SLOT - 1].any():
+                raise DeviceError(f"{self.gpu.name}: a sum of a cell is out of range")
+            low, high = words[:, : 2 * SUMS : 2].astype(np.float64), words[:, 1 : 2 * SUMS : 2].astype(np.float64)
+            sums = (low + high * 2.0**32) / _STEPS
+        return sums
 
     def _record(self, cells: _Cells, visit: DeviceVisit, slot: int, counted: bool) -> Any:
         view, losses, steps = visit.view.camera, visit.losses, visit.steps
