@@ -77,12 +77,15 @@ def test_poses_of_other_pictures_are_told(tmp_path: Path, capfd: pytest.CaptureF
     write_room(room, frames=8)
     jobs.find_poses(str(room))
     cameras = io.load(room, Cameras)
-    names = [camera.picture for camera in cameras.cameras]
-    wrong = [replace(camera, picture=names[(3 * i + 1) % 8]) for i, camera in enumerate(cameras.cameras)]
+    # The file names pictures by the names of their cameras.
+    names = [camera.name for camera in cameras.cameras]
+    wrong = [replace(camera, name=names[(3 * i + 1) % 8]) for i, camera in enumerate(cameras.cameras)]
     io.save(room / "transforms.json", replace(cameras, cameras=tuple(wrong)), force=True)
     assert run(["fit", str(room), str(tmp_path / "a.npz"), "--epochs", SHORT, "--basis", "SH1"]) == 0
     told = capfd.readouterr().err
     assert "7 views are few for scenery; parts that fewer than three of them show are placed far away" in told
+    assert re.search(
+    )
     assert re.search(r"a poor fit; pictures of a single colour have \d+\.\d\d dB; check that the poses belong", told)
 
 
