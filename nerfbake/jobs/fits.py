@@ -91,6 +91,8 @@ _OPTIONS = {"N3Tree": {"packing": "deflated"}}  # options of the format: svox de
 _IN_SINGLES = ("Meshes", "Splats", "N3Tree")  # types of scene whose formats store positions as float32
 _OF_INNER_CUBE = ("Meshes", "Splats")  # types of scene that store only the inner cube of a scene with scenery
 _FEW = 20  # views of scenery
+_AGREEMENT = 0.12  # of depths, below which poses are probably wrong (docs/tuning.md, "Depths and wrong poses")
+_CHECK = "check that the poses belong to these pictures, in this order, and are not mirrored"
 _POOR = 4.0  # dB above pictures of a single colour
 
 
@@ -331,7 +333,9 @@ def _fit(
         chosen |= {"schedule": schedule, "exposure": options.gains(views)}
         while True:
             try:
-                for state in fit_field(views, start=start, gpu=run.gpu, **chosen):
+                for number, state in enumerate(fit_field(views, start=start, gpu=run.gpu, **chosen)):
+                    if number == 0 and start is None:
+                        _tell_agreement(steps, source, state.agreement)
                     with progress.listening(None):  # measuring does not report progress
                         ended = run.follow(state)
                     if checkpoints is not None and (ended or interrupted.is_set() or checkpoints.is_due):
@@ -344,6 +348,13 @@ def _fit(
             except DeviceError as error:
                 steps.say(f"{error.line}; {run.go_on_without_device(state)}")
                 start = state
+
+
+def _tell_agreement(steps: Steps, source: Source, agreement: float | None) -> None:
+    """Print a line if pictures agree on so few depths that their poses are probably wrong."""
+    if agreement is not None and agreement < _AGREEMENT:
+        found = f"neighbouring pictures agree on the depth of {agreement:.0%} of what looks alike in them"
+        steps.say(f"{source.name}: {found}; right poses mostly give 16% or more; {_CHECK}")
 
 
 def _start(checkpoints: CheckpointWriter | None, run: FitRun) -> FitState | None:
@@ -429,6 +440,5 @@ def _judged(
     seen = f"{fitted.psnr:.2f} dB{corrected}, SSIM {fitted.ssim:.4f}{outlines} on {held_out}{rays}"
     steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
     if fitted.psnr < (plain := plain_psnr(held_out)) + _POOR:
-        check = "check that the poses belong to these pictures, in this order, and are not mirrored"
-        steps.say(f"{target.path}: a poor fit; pictures of a single colour have {plain:.2f} dB; {check}")
+        steps.say(f"{target.path}: a poor fit; pictures of a single colour have {plain:.2f} dB; {_CHECK}")
     return fitted

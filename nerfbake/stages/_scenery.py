@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nerfbake import memory
@@ -11,7 +13,7 @@ from nerfbake.kernels.maths.affine import rotate
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid, lattice_frame
-from nerfbake.stages._scenery_depths import depth_maps, vote
+from nerfbake.stages._scenery_depths import find_depths, vote
 from nerfbake.stages._scenery_points import reach_of
 
 SHELLS = 6  # with the inner cube: the outermost one is 32 times as wide as the inner cube
@@ -23,8 +25,16 @@ _CLEAR = 0.25  # of the distance that the cameras look at: no fog starts that cl
 _CELL_BYTES = 40
 
 
-def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> tuple[Points, BrickCells]:
-    """Return the inner cube (2, 3), and the cells that a fit starts from: fog and a wall at its end.
+class SceneryStart(NamedTuple):
+    """The inner cube (2, 3), the cells that a fit starts from, and how far pictures agree on depths (see Depths)."""
+
+    box: Points
+    cells: BrickCells
+    agreement: float | None
+
+
+def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> SceneryStart:
+    """Return the inner cube, and the cells that a fit starts from: fog and a wall at its end.
 
     Fog fills all cells that three views see (all views, if there are fewer), except close to a camera. If the sparse
     points of a picture are about equally far, it fills what this picture alone sees at their distance, and nothing
@@ -33,14 +43,15 @@ def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> 
     the cameras look at. Raises InvalidScene, MemoryLimit.
     """
     box = inner_cube_of(views.cameras) if box is None else box
-    solid, surface = _visible(views, box, resolution)
+    with memory.scope():
+        solid, surface, agreement = _visible(views, box, resolution)
     if not solid.any():
         raise InvalidScene(Problem("views", "see no part of the box together", "cameras that look at the same place"))
     cells = cells_of_solid(solid, box, B, FOG)
     shell, corner = cell_places(cells.bricks)
     _thicken(cells, surface[shell * resolution + corner[:, 0], corner[:, 1], corner[:, 2]], _SURFACE)
     close_wall(cells)
-    return box, cells
+    return SceneryStart(box, cells, agreement)
 
 
 def wall_of(cells: BrickCells) -> Bits:
@@ -83,13 +94,15 @@ def resolved(cells: BrickCells, views: Views) -> Bits:
     return found
 
 
-def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits]:
-    """Return the cells (S R, R, R) of all shells that the fit starts from, and those of them with a surface."""
+def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, float | None]:
+    """Return the cells (S R, R, R) of all shells that the fit starts from, those of them with a surface, and how far
+    pictures agree on depths.
+    """
     memory.require(f"fog in {SHELLS} shells of {R}^3 cells", _CELL_BYTES * R**3 * SHELLS)
     low, size, width = lattice_frame(box, R, SHELLS)
     steps = np.stack(np.meshgrid(*[np.arange(R)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5
     focus, least = focus_distance(views, box), min(_LEAST, len(views.pictures))
-    found, surfaces, clear, reach, maps = [], [], _CLEAR * focus, reach_of(views.cameras), depth_maps(views, focus)
+    found, surfaces, clear, reach, depths = [], [], _CLEAR * focus, reach_of(views.cameras), find_depths(views, focus)
     for shell in range(SHELLS):
         centre, counts = low[shell] + steps * size[shell], np.zeros(R**3, np.int32)
         # Where the distance is known, one view is enough. Elsewhere, views whose distance is unknown count.
@@ -105,7 +118,7 @@ def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits]:
                 near |= seen & (away - width[shell] < reach.far[number])
             else:
                 wide |= seen
-        votes = vote(maps, centre, float(width[shell]))
+        votes = vote(depths.maps, centre, float(width[shell]))
         solid = ((near & (counts >= 1)) | (wide & (counts >= least))) & ~votes.empty
         solid, surface = (solid | votes.surface).reshape(R, R, R), votes.surface.reshape(R, R, R)
         if shell:
@@ -117,7 +130,7 @@ def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits]:
             solid = wall
         found.append(solid)
         surfaces.append(surface)
-    return np.concatenate(found), np.concatenate(surfaces)
+    return np.concatenate(found), np.concatenate(surfaces), depths.agreement
 
 
 def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:

@@ -34,6 +34,9 @@ _NEAREST = 0.7  # of the distances of points: nearer planes are not tried
 _SOUND = 0.02  # quantile of the distances of a picture's points: nearer ones may be wrong
 _CLOSE = 0.25  # the same without points, of the distance that the cameras look at
 _CORRECTIONS = 6  # of a place in a photograph, until it is the one that a pinhole shows elsewhere
+_LEAST_VIEWS = 5  # fewer ones that are far apart agree as little as ones with wrong poses
+_LEAST_ALIKE = 0.1  # share of all pixels; with fewer ones, there is too little texture to tell whether poses are right
+_PIXEL_BYTES = 23  # a picture in grey, and two depth maps
 _FAR_STEPS = 3  # of a depth that is known; farther surfaces lie between the last few planes
 
 
@@ -52,6 +55,18 @@ class DepthMap(NamedTuple):
     step: float
 
 
+class Depths(NamedTuple):
+    """What pictures show together.
+
+    maps       of the pictures that share a depth with others
+    agreement  0..1: of the pixels that look like a place in a neighbouring picture, the share whose depth other
+               pictures confirm; None: too few pictures or pixels to say. It is low if poses are wrong.
+    """
+
+    maps: list[DepthMap]
+    agreement: float | None
+
+
 class Votes(NamedTuple):
     """What depth maps say about cells (n,): which ones are empty, and in which ones a surface lies."""
 
@@ -59,7 +74,7 @@ class Votes(NamedTuple):
     surface: Bits
 
 
-def depth_maps(views: Views, focus: float) -> list[DepthMap]:
+def find_depths(views: Views, focus: float) -> Depths:
     """Return the depth maps of the views that have neighbours, or none for small pictures.
 
     focus: the distance that the cameras look at. Raises MemoryLimit.
@@ -67,15 +82,17 @@ def depth_maps(views: Views, focus: float) -> list[DepthMap]:
     cameras = views.cameras.cameras
     edge = min(min(camera.width, camera.height) for camera in cameras)
     if edge < _LEAST_EDGE:
-        return []
+        return Depths([], None)
     factor = -(-edge // (_EDGE if len(cameras) <= _MANY else _EDGE_OF_MANY))
+    pixels = sum(-(-camera.width // factor) * -(-camera.height // factor) for camera in cameras)
+    memory.hold(f"depths of {len(cameras)} pictures", _PIXEL_BYTES * pixels)
     pictures = [_without_lens(*reduced_view(views, number, factor)) for number in range(len(cameras))]
     ranges = [_distances(views.cameras, number, focus) for number in range(len(cameras))]
     near = [_neighbours(cameras, number, ranges[number][1]) for number in range(len(cameras))]
     far = reach_of(views.cameras).far
     ends = [(1 / ranges[number][0], 1 / float(far[number])) for number in range(len(cameras))]
     swept = [_swept(pictures, number, near[number], ends[number]) for number in range(len(cameras))]
-    made = []
+    made, alike, agreed = [], 0, 0
     for number, own in enumerate(swept):
         others = [swept[other] for other in near[number]]
         if own is None or not any(other is not None for other in others):
@@ -85,9 +102,11 @@ def depth_maps(views: Views, focus: float) -> list[DepthMap]:
             if other is not None:
                 agreeing += _agrees(own, other)
         known = own.known & (agreeing >= min(2, len(others)))
+        alike, agreed = alike + int(own.known.sum()), agreed + int(known.sum())
         if known.any():
             made.append(own._replace(inverse=_filled(own.inverse, known), known=known))
-    return made
+    enough = len(cameras) >= _LEAST_VIEWS and alike >= _LEAST_ALIKE * pixels
+    return Depths(made, agreed / alike if enough else None)
 
 
 def vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:

@@ -151,7 +151,8 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
     gains = np.ones((len(views.pictures) if exposure else 0, 3))
     B = coefficients(schedule, kind, 0)
     if views.scenery:
-        return FitState(schedule, kind, seed, *start_scenery(views, box, schedule[0].cells, B), gains=gains)
+        start = start_scenery(views, box, schedule[0].cells, B)
+        return FitState(schedule, kind, seed, start.box, start.cells, gains=gains, agreement=start.agreement)
     solid, box = find_solid(views, box, schedule[0].cells)
     cells = cells_of_solid(solid, box, B, _START_DENSITY, smooth=schedule.smooth > 0)
     return FitState(schedule, kind, seed, box, cells, gains=gains)

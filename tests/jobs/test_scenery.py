@@ -44,6 +44,7 @@ def test_photographs_alone_become_a_scene(tmp_path: Path, capfd: pytest.CaptureF
     assert tree.held_out is not None
     assert (tree.held_out.cameras.cameras[0].width, tree.held_out.cameras.cameras[0].height) == (120, 90)
     assert json.loads(written.out)["psnr"] > 15
+    assert "check that the poses belong" not in written.err
     # The scenery has no place in an octree; the second fit finds the cameras that the first one wrote.
     with pytest.raises(
         UsageError, match=r"has scenery behind the object, which .*a\.svo\.pb cannot store; allowed: a Pl"
@@ -85,6 +86,7 @@ def test_poses_of_other_pictures_are_told(tmp_path: Path, capfd: pytest.CaptureF
     told = capfd.readouterr().err
     assert "7 views are few for scenery; parts that fewer than three of them show are placed far away" in told
     assert re.search(
+        r"room: neighbouring pictures agree on the depth of \d% of what looks .*; check that the pos", told
     )
     assert re.search(r"a poor fit; pictures of a single colour have \d+\.\d\d dB; check that the poses belong", told)
 

@@ -282,7 +282,7 @@ def test_cameras_at_one_place_need_a_box() -> None:
 def test_a_wider_inner_cube_clears_no_more_fog_around_the_cameras(times: float) -> None:
     posed = cameras(6, 16)
     views = Views(posed, (np.full((16, 16, 4), 255, np.uint8),) * 6, WHITE, False, scenery=True)
-    box, cells = start_scenery(views, times * np.array([[-0.8] * 3, [0.8] * 3]), 32, 1)
+    box, cells, _ = start_scenery(views, times * np.array([[-0.8] * 3, [0.8] * 3]), 32, 1)
     assert focus_distance(views, box) == pytest.approx(1.6, abs=0.05)  # where the cameras are
     shell, corner = cell_places(cells.bricks)
     inner = cells.bricks.low[0] + (corner[shell == 0] + 0.5) * cells.bricks.size[0]

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from nerfbake import Camera, Cameras, Views
+from nerfbake import Camera, Cameras, Views, memory_limit
+from nerfbake.errors import MemoryLimit
 from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.lens import Lens
 from nerfbake.stages._scenery import start_scenery
-from nerfbake.stages._scenery_depths import DepthMap, depth_maps, vote
+from nerfbake.stages._scenery_depths import DepthMap, Depths, find_depths, vote
 
 HEIGHT, EDGE = 5.0, 64
 BOX = np.array([[-4.0, -4, -4], [4, 4, 4]])
@@ -42,8 +45,13 @@ def above(lens: Lens | None = None, *, edge: int = EDGE, plain: bool = False, bl
 
 
 @pytest.fixture(scope="module")
-def maps() -> list[DepthMap]:
-    return depth_maps(above(), HEIGHT)
+def depths() -> Depths:
+    return find_depths(above(), HEIGHT)
+
+
+@pytest.fixture(scope="module")
+def maps(depths: Depths) -> list[DepthMap]:
+    return depths.maps
 
 
 def test_the_depth_of_a_plane_is_known(maps: list[DepthMap]) -> None:
@@ -55,7 +63,7 @@ def test_the_depth_of_a_plane_is_known(maps: list[DepthMap]) -> None:
 
 
 def test_a_lens_changes_no_depth() -> None:
-    bent = depth_maps(above(Lens("polynomial", (-0.2,))), HEIGHT)
+    bent = find_depths(above(Lens("polynomial", (-0.2,))), HEIGHT).maps
     assert len(bent) == 8
     for found in bent:
         assert not found.camera.bends
@@ -65,11 +73,27 @@ def test_a_lens_changes_no_depth() -> None:
 
 @pytest.mark.parametrize("views", [above(plain=True), above(edge=32)])
 def test_no_depth_is_known_without_texture_or_in_small_pictures(views: Views) -> None:
-    assert depth_maps(views, HEIGHT) == []
+    assert find_depths(views, HEIGHT) == ([], None)
+
+
+def test_pictures_agree_only_with_the_right_poses(depths: Depths) -> None:
+    views = above()
+    swapped = replace(views, pictures=[views.pictures[number] for number in np.random.default_rng(0).permutation(8)])
+    wrong = find_depths(swapped, HEIGHT).agreement
+    assert depths.agreement is not None
+    assert wrong is not None
+    assert depths.agreement > 0.8
+    assert wrong < 0.12
+    assert find_depths(views.take(range(4)), HEIGHT).agreement is None  # four are too few to say
+
+
+def test_depths_count_as_memory() -> None:
+    with memory_limit(23 * 8 * EDGE**2 - 1), pytest.raises(MemoryLimit, match="depths of 8 pictures"):
+        find_depths(above(), HEIGHT)
 
 
 def test_unknown_depths_are_those_of_the_farther_side() -> None:
-    for found in depth_maps(above(block=2.0), HEIGHT):
+    for found in find_depths(above(block=2.0), HEIGHT).maps:
         known = found.inverse[found.known]
         assert ((np.abs(known * 5 - 1) < 0.04) | (np.abs(known * 3 - 1) < 0.04)).mean() > 0.9
         assert (found.inverse[~found.known] < 1 / 3).mean() > 0.5
@@ -91,7 +115,7 @@ def test_cells_that_no_view_shows_have_no_votes(maps: list[DepthMap]) -> None:
 
 @pytest.mark.slow
 def test_a_fit_starts_with_dense_cells_on_the_ground() -> None:
-    field, plain = (start_scenery(views, BOX, 32, 1)[1] for views in (above(), above(plain=True)))
+    field, plain = (start_scenery(views, BOX, 32, 1).cells for views in (above(), above(plain=True)))
     assert 0 < field.n < plain.n
     dense = [np.isclose(cells.bricks.values, 0.3).sum() for cells in (field, plain)]
     assert dense[0] > 100

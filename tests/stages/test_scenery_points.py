@@ -45,7 +45,7 @@ def fog(cameras: Cameras) -> Points:
     """The centres of the first cells of a fit that are not part of the wall, in the inner cube."""
     pictures = (np.full((16, 16, 4), 255, np.uint8),) * len(cameras.cameras)
     views = Views(cameras, pictures, (1.0, 1.0, 1.0), False, scenery=True)
-    _, cells = start_scenery(views, BOX, 32, 1)
+    cells = start_scenery(views, BOX, 32, 1).cells
     shell, corner = cell_places(cells.bricks)
     centre = cells.bricks.low[0] + (corner + 0.5) * cells.bricks.size[0]
     return np.asarray(centre[~wall_of(cells) & (shell == 0)])
