@@ -30,6 +30,7 @@ class FakeState:
     done: int
     of: int
     resolution: int = 16
+    agreement: float | None = None
     cells: Any = field(default_factory=lambda: SimpleNamespace(n=7))
 
     def field(self) -> BrickField:
