@@ -227,6 +227,27 @@ def test_no_more_than_one_item_is_made_ahead() -> None:
     assert made in ([0, 1], [0, 1, 2])
 
 
+def test_a_thread_that_collects_the_generator_it_works_for_does_not_wait_for_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(parallel, "cores", lambda: 2)
+    begun, dropped, ended = Event(), Event(), Event()
+
+    def make() -> Iterator[int]:
+        yield 0
+        begun.set()
+        dropped.wait()
+        del cycle[:]  # the last reference, as the garbage collector would find it in this thread
+        ended.set()
+        yield 1
+
+    cycle = [parallel.prefetched(make())]
+    assert next(cycle[0]) == 0
+    begun.wait()
+    dropped.set()
+    assert ended.wait(5)
+
+
 @pytest.mark.parametrize("cores", [1, 2, 5])
 @pytest.mark.parametrize("most", [None, 0, 2])
 def test_results_come_in_order_and_few_at_once(cores: int, most: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
