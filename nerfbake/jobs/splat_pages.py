@@ -13,7 +13,7 @@ from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.pages import Colour, read_previews, written_or_opened
 from nerfbake.jobs.readings import Reading
-from nerfbake.jobs.splats import SplatsOptions, SplatsViews, fitted_splats
+from nerfbake.jobs.splats import SplatsOptions, SplatsViews, splats_of_field
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.upright import upside_down_note
 from nerfbake.jobs.views import orbit_psnr, page_views
@@ -21,7 +21,6 @@ from nerfbake.scene.camera import Cameras
 from nerfbake.scene.origin import lost_origin
 from nerfbake.scene.page import Page
 from nerfbake.scene.splats import UPS, Splats, Up
-from nerfbake.stages.field_to_splats import COUNT, build_splats
 from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.splats_to_page_splats import build_page_splats
 from nerfbake.stages.views_to_error import measure_views
@@ -97,11 +96,9 @@ def _read(steps: Steps, source: Source, functions: FunctionVoxels, device: str) 
         return splats
     reading.use_inner_cube()
     field = reading.field(visible="nothing to fit splats to")
-    split = SplatsViews(device=device).split(steps, source, field)
-    steps.say(f"{source.name}: fits splats to {split.training}, measures on {split.held_out}")
-    with source.blamed(steps, "choosing leaves"):
-        splats = build_splats(field, count=COUNT)
-    splats = fitted_splats(steps, source, splats, split.training, SplatsOptions(), threading.Event())
+    pictures = SplatsViews(device=device)
+    split = pictures.split(steps, source, field)
+    splats = splats_of_field(steps, source, field, split, pictures, SplatsOptions(), threading.Event())
     with source.blamed(steps, "measuring the splats"):
         views = measure_views(splats, split.held_out)
     psnr = sum(view.psnr for view in views) / len(views)

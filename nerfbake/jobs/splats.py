@@ -272,13 +272,9 @@ def _make(
         field = reading.field(visible="nothing to fit splats to")
         del reading
         split, against = pictures.split(steps, first, field), ""
-        steps.say(f"{first.name}: fits splats to {split.training}, measures on {split.held_out}")
         with interrupts() as interrupted:
-            with first.blamed(steps, "choosing leaves"):
-                cameras = split.training.cameras if pictures.views else None
-                splats = build_splats(field, count=options.splats or COUNT, cameras=cameras)
+            splats = splats_of_field(steps, first, field, split, pictures, options, interrupted)
             del field
-            splats = fitted_splats(steps, first, splats, split.training, options, interrupted)
             made = _with_levels(steps, first, splats, split.training, options, interrupted, levels)
         with first.blamed(steps, "turning the splats"):
             made, up = fields_turned_up(made, up, keeps_up=keeps_up)
@@ -322,6 +318,23 @@ def _with_levels(
             splats = fitted_splats(steps, source, splats, views, options, interrupted)
         made.append(splats)
     return tuple(made)
+
+
+def splats_of_field(
+    steps: Steps,
+    source: Source,
+    field: RadianceField,
+    split: SplitViews,
+    pictures: SplatsViews,
+    options: SplatsOptions,
+    interrupted: threading.Event,
+) -> Splats:
+    """Build splats of a field, and fit them to the split of its pictures until the end, or until Ctrl-C."""
+    steps.say(f"{source.name}: fits splats to {split.training}, measures on {split.held_out}")
+    with source.blamed(steps, "choosing leaves"):
+        cameras = split.training.cameras if pictures.views else None
+        splats = build_splats(field, count=options.splats or COUNT, cameras=cameras)
+    return fitted_splats(steps, source, splats, split.training, options, interrupted)
 
 
 def fitted_splats(
