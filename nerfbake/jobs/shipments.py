@@ -6,7 +6,7 @@ import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -162,11 +162,23 @@ def ship_file(
     return shipment
 
 
-class _Renamed:
-    """Passes messages on, with the names of the final files instead of the temporary ones."""
+_NAMED = re.compile(r"`([a-z][a-z0-9_]*)(?:=[^`]*)?`")  # an argument in a message
+_OPTIONS = (ShippedViews, PhotographOptions, ShipmentOptions, FunctionVoxels)
+_TAKEN = {"cameras", *(each.name for options in _OPTIONS for each in fields(options))}  # by ship_file()
 
-    def __init__(self, steps: Steps, names: Mapping[str, str]) -> None:
-        self._steps, self._names = steps, names
+
+class _Renamed:
+    """Passes messages on, with the names of the final files instead of the temporary ones.
+
+    An argument that ship_file() does not take is told with its command, if the message is from the job of one.
+    """
+
+    def __init__(self, steps: Steps, names: Mapping[str, str], command: str = "") -> None:
+        self._steps, self._names, self._command = steps, names, command
+
+    def of(self, command: str) -> _Renamed:
+        """Return what the job of this command gets."""
+        return _Renamed(self._steps, self._names, command)
 
     def named(self, text: str) -> str:
         for path, name in self._names.items():
@@ -174,7 +186,12 @@ class _Renamed:
         return text
 
     def say(self, text: str) -> None:
+        if self._command:
+            text = _NAMED.sub(self._with_command, text)
         self._steps.say(self.named(text))
+
+    def _with_command(self, argument: re.Match[str]) -> str:
+        return argument[0] if argument[1] in _TAKEN else f"{argument[0]} of `nerfbake {self._command}`"
 
     def phase(self, text: str) -> AbstractContextManager[Tell]:
         return self._steps.phase(self.named(text))
@@ -192,7 +209,7 @@ class _Workshop:
 
     def __init__(
         self,
-        steps: Steps,
+        steps: _Renamed,
         source: Source,
         work: Path,
         pictures: ShippedViews,
@@ -237,33 +254,34 @@ class _Workshop:
         steps, title = self._steps, catalog.scene_name(self._source.name)
         if name.startswith("splats."):
             splats = self.splats()
-            return lambda path: convert_splats(splats, path, steps=steps)
+            return lambda path: convert_splats(splats, path, steps=steps.of("convert"))
         if name.startswith("mesh."):
             # Of splats themselves: their pictures are sharper than those of their voxels.
             shown = self._source if issubclass(self._kind, Splats) else self.field()
             views, options = MeshViews(**vars(self._pictures)), self._options
             size = MeshOptions(triangles=(options.triangles,), texture=options.texture)
-            return lambda path: bake_mesh(shown, path, pictures=views, options=size, steps=steps)
+            return lambda path: bake_mesh(shown, path, pictures=views, options=size, steps=steps.of("mesh"))
         source = self.field()
         return {
-            "scene.html": lambda path: view_file(source, path, title=title, steps=steps),
-            "scene.vdb": lambda path: bake_volume(source, path, steps=steps),
-            "scene.svoq": lambda path: compress_file(source, path, steps=steps),
-        }.get(name, lambda path: bake_octree(source, path, steps=steps))
+            "scene.html": lambda path: view_file(source, path, title=title, steps=steps.of("view")),
+            "scene.vdb": lambda path: bake_volume(source, path, steps=steps.of("vdb")),
+            "scene.svoq": lambda path: compress_file(source, path, steps=steps.of("compress")),
+        }.get(name, lambda path: bake_octree(source, path, steps=steps.of("svo")))
 
     def _bake_function(self, path: Path) -> object:
-        return convert_file(self._source, path, functions=self._functions, steps=self._steps)
+        return convert_file(self._source, path, functions=self._functions, steps=self._steps.of("convert"))
 
     def _bake_octree(self, path: Path) -> object:
         options = ReadingOptions(in_up=self._up) if issubclass(self._kind, Splats) else ReadingOptions()
-        return bake_octree(self._source, path, options=options, steps=self._steps)
+        return bake_octree(self._source, path, options=options, steps=self._steps.of("svo"))
 
     def _bake_splats(self, path: Path) -> object:
         source, views = (self._source if issubclass(self._kind, Splats) else self.field()), self._pictures
         if issubclass(self._kind, Splats) and self._options.splats is None:
-            return convert_splats(source, path, in_up=self._up, steps=self._steps)
+            return convert_splats(source, path, in_up=self._up, steps=self._steps.of("convert"))
         options = SplatsOptions(splats=self._options.splats)
-        return bake_splats(source, path, SplatsViews(**vars(views)), options=options, in_up=self._up, steps=self._steps)
+        steps = self._steps.of("splats")
+        return bake_splats(source, path, SplatsViews(**vars(views)), options=options, in_up=self._up, steps=steps)
 
     def _once(self, name: str, what: str, make: Callable[[Path], object]) -> Source:
         """Return the file that a step makes, or raise its error, each time that it is needed."""
