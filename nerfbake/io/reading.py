@@ -69,7 +69,7 @@ class Loaded(NamedTuple, Generic[Kind]):
 
     scene    the scene
     form     the format of the file, or the kind of the folder
-    size     bytes of the file or folder
+    size     bytes of the file or folder; of a file that is read with others of its folder, of all these
     packing  for a compressed format, its description of the compression, else empty
     data     for a compressed format, the bytes of the file, else None
     """
@@ -185,10 +185,16 @@ def _decode_folder(path: Path, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
     files = Folder(path, {})
     form, name = _folder_form(files, *(kind.__name__ for kind in kinds))
     _require_kind(form, kinds)
-    size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
+    size = _folder_size(path)
     if isinstance(form, Dialect):
         return Loaded(form.load_module().decode(files, name=name), form, size, {})
     return Loaded(form.load_module().decode(files), form, size, {})
+
+
+def _folder_size(path: Path) -> int:
+    """Return the bytes of all files in a folder and its subfolders. Links to folders are not followed."""
+    files = (Path(folder, name) for folder, _, names in os.walk(path) for name in names)
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def _folder_form(files: Folder, *wanted: str) -> tuple[FolderKind | Dialect, str]:
@@ -276,9 +282,10 @@ def _covers(read: str, name: str) -> bool:
 def _decode_member(path: Path, form: FolderKind, kinds: tuple[type[Kind], ...]) -> Loaded[Any]:
     """Read a folder from one of its member files, which cannot be read alone."""
     _require_kind(form, kinds)
+    files = Folder(path.parent, {})
     with without(path.name):
-        scene = form.load_module().decode(Folder(path.parent, {}), member=path.name)
-    return Loaded(scene, form, path.stat().st_size, {})
+        scene = form.load_module().decode(files, member=path.name)
+    return Loaded(scene, form, files.bytes_read, {})
 
 
 def _require_kind(form: AnyFormat | Dialect, kinds: tuple[type[Kind], ...]) -> None:

@@ -177,6 +177,11 @@ class Folder(Mapping[str, memoryview]):
         with blame(str(path)):
             return sorted(entry.name for entry in os.scandir(path) if entry.is_file()) if path.is_dir() else []
 
+    @property
+    def bytes_read(self) -> int:
+        """The bytes of all files that were read so far."""
+        return sum(map(len, self._more.values()))
+
     def head(self, name: str, size: int) -> bytes:
         """The first `size` bytes of a file, or all of a shorter one; empty if there is no such file."""
         if name in self._more:
