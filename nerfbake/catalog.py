@@ -296,13 +296,12 @@ NOUNS = {
 ADVICE = {
     "Cameras": "`cameras` takes them",
     "EnvironmentMap": "`mesh --environment` takes it",
-    "FunctionField": "`nerfbake svo` makes an octree of it",
-    "LatticeField": "`nerfbake svo` makes an octree of it",
-    "N3Tree": "`nerfbake svo` makes an octree of it",
     "SparseVoxelOctree": "`nerfbake convert` writes it in other formats, and `nerfbake vdb` as a volume",
     "Stage1": "`nerfbake atlas` bakes it",
     "Volume": "`nerfbake convert` makes an octree of it",
 }
+FIELDS = ("FunctionField", "LatticeField", "N3Tree", "SparseVoxelOctree", "Splats")
+MAKERS = {"Meshes": "mesh", "SparseVoxelOctree": "svo", "Splats": "splats", "Volume": "vdb"}  # of FIELDS
 
 
 def load_compression() -> contract.CompressionFormat:

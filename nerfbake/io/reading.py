@@ -12,6 +12,8 @@ from nerfbake import memory
 from nerfbake.catalog import (
     ADVICE,
     COMPRESSION_MAGIC,
+    FIELDS,
+    MAKERS,
     NOUNS,
     AnyFormat,
     Dialect,
@@ -289,10 +291,19 @@ def _decode_member(path: Path, form: FolderKind, kinds: tuple[type[Kind], ...]) 
 
 
 def _require_kind(form: AnyFormat | Dialect, kinds: tuple[type[Kind], ...]) -> None:
-    if kinds and form.scene not in [kind.__name__ for kind in kinds]:
-        allowed = " or ".join(NOUNS[kind.__name__] for kind in kinds)
-        advice = f" ({ADVICE[form.scene]})" if form.scene in ADVICE else ""
-        raise InvalidFile(f"holds {NOUNS[form.scene]}{advice}; allowed: {allowed}")
+    wanted = [kind.__name__ for kind in kinds]
+    if wanted and form.scene not in wanted:
+        advice = _advice(form.scene, wanted)
+        told = f"holds {NOUNS[form.scene]}{advice and f' ({advice})'}"
+        raise InvalidFile(f"{told}; allowed: {' or '.join(map(NOUNS.__getitem__, wanted))}")
+
+
+def _advice(found: str, wanted: Sequence[str]) -> str:
+    """Return which commands make what is wanted of a scene, else which take the scene; '' if none is known."""
+    makers = [(MAKERS[each], NOUNS[each]) for each in wanted if each in MAKERS and found in FIELDS]
+    if not makers:
+        return ADVICE.get(found, "")
+    return ", ".join(f"`nerfbake {command}` makes {noun} of it" for command, noun in makers)
 
 
 def load_folder(source: str | Path, kind: type[Kind], *, more: Mapping[str, memoryview] | None = None) -> Kind:

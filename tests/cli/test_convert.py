@@ -167,6 +167,21 @@ def test_half_is_for_volumes_and_for_splats(name: str, tmp_path: Path) -> None:
     assert (tmp_path / name).read_bytes() != (tmp_path / f"full_{name}").read_bytes()
 
 
+@pytest.mark.parametrize(
+    ("target", "advice"),
+    [
+        ("a.usda", "(`nerfbake splats` makes Gaussian splats of it, `nerfbake vdb` makes a volume of it); allowed:"),
+        ("a.spz", "(`nerfbake splats` makes Gaussian splats of it); allowed: Gaussian splats"),
+        ("a.vdb", "(`nerfbake vdb` makes a volume of it); allowed: a volume"),
+    ],
+)
+def test_a_field_that_becomes_no_such_file_is_told_the_command_that_makes_it(
+    target: str, advice: str, tree_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["convert", str(tree_file), str(tree_file.with_name(target))]) == 1
+    assert advice in capsys.readouterr().err
+
+
 def test_a_batch_cannot_know_the_files_of_all_grids() -> None:
     with pytest.raises(click.UsageError, match="--grid all writes files whose names depend on the contents of IN"):
         declared(convert, ["smoke.vdb", "smoke.nvdb", "--grid", "all"])

@@ -261,7 +261,7 @@ def test_hostile_cameras_are_one_line(
             1,
             "a.gif: keeping 9 pictures at",
         ),
-        (["a.npz", "--out", "a.png", "--cameras", "a.npz"], 1, "makes an octree of it); allowed: cameras"),
+        (["a.npz", "--out", "a.png", "--cameras", "a.npz"], 1, "holds a PlenOctree; allowed: cameras"),
         (
             ["a.npz", "--out", "a.png", "--cameras", "transforms.json", "--frame", "7"],
             2,
