@@ -29,6 +29,7 @@ from nerfbake.jobs.photographs import (
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.splats import SplatsOptions, fitted_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
+from nerfbake.jobs.upright import fields_turned_up
 from nerfbake.jobs.world import WorldOptions
 from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.brick_field import BrickField
@@ -38,7 +39,7 @@ from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.origin import choose_origin_of_cameras, lost_origin, no_origin, origin_text
 from nerfbake.scene.quantised_octree import QuantisedOctree
 from nerfbake.scene.schedule import Schedule, scenery_scale
-from nerfbake.scene.splats import Splats
+from nerfbake.scene.splats import Splats, Up
 from nerfbake.scene.views import Views, world_box
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 from nerfbake.stages.brick_field_to_octree import build_octree_from_bricks
@@ -219,6 +220,10 @@ def fit_file(
             scene = _converted(steps, source, target, kind, field, split, options.rays(schedule), dtype, interrupted)
             if kind in _IN_SINGLES:
                 scene = _with_origin(steps, scene, target, kind, split.origin)
+            up: Up | None = None
+            if kind == "Splats":
+                keeps_up = io.format_for(target.path, kind, to=target.to).load_splat_module().KEEPS_UP
+                (scene,), up = fields_turned_up((scene,), None, keeps_up=keeps_up)
             del field, split
             if interrupted.is_set():
                 write_partial(steps, target, kind, scene, state, **_options(target, kind))
@@ -226,7 +231,7 @@ def fit_file(
         del scene
         if not interrupted.is_set():
             with kept_as_partial(steps, target, written):
-                fitted = _judged(steps, target, written, held_out, schedule, options, run)
+                fitted = _judged(steps, target, written, held_out, schedule, options, run, up)
     if interrupted.is_set():
         raise Stopped(f"stopped before the quality was measured: {target.path} is complete")
     if report is not None:
@@ -418,15 +423,17 @@ def _judged(
     schedule: Schedule,
     options: FitOptions,
     run: FitRun,
+    up: Up | None,
 ) -> FitResult:
-    """Read the written file and measure it on the held-out views."""
+    """Read the written file and measure it on the held-out views. up: the axis by which splats were turned."""
     samples = options.rays(schedule)
     worked, passed = run.clock.worked, run.clock.passed
     with Source(target.path).blamed(steps, f"measuring on {len(held_out.pictures)} pictures"):
         with steps.phase(f"reading {target.name}"), read_back_as(target.path):
             loaded: io.Loaded[Any] = io.load_with_format(written.path)
-        scene = loaded.scene if isinstance(loaded.scene, Meshes | Splats) else build_field(loaded.scene)
-        if (start := origin_of(loaded.scene)).any():  # a reader may choose another one than the fit did
+        read = loaded.scene if up is None else loaded.scene.without_up(up)
+        scene = read if isinstance(read, Meshes | Splats) else build_field(read)
+        if (start := origin_of(read)).any():  # a reader may choose another one than the fit did
             near = held_out.cameras.relative_to(start - held_out.cameras.origin)
             held_out = replace(held_out, cameras=near)
         views = measure_views(scene, held_out, samples=samples, render=renderer_with(steps, run.gpu))

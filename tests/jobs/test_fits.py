@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nerfbake import Meshes, N3Tree, SparseVoxelOctree, Volume, build_field, io, load, measure_views
+from nerfbake import Meshes, N3Tree, SparseVoxelOctree, Splats, Volume, build_field, io, load, measure_views
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit, NerfbakeError, OutputError, Stopped, UsageError
 from nerfbake.jobs import (
     ComparedViews,
@@ -122,6 +122,23 @@ def test_a_vdb_has_the_grids_that_blender_reads(capture: Path) -> None:
     fitted = fit_file(capture, "a.vdb")
     assert load("a.vdb").labels == ["density", "Cd"]
     assert fitted.psnr == pytest.approx(fit_file(capture, "other.npz").psnr, abs=1)  # one colour in all directions
+
+
+@pytest.mark.usefixtures("trainer")
+def test_splats_stand_upright_in_the_file(capture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    built: list[Splats] = []
+
+    def unfitted(steps: Any, source: Any, splats: Splats, *others: Any) -> Splats:
+        built.append(splats)
+        return splats
+
+    monkeypatch.setattr("nerfbake.jobs.fits.fitted_splats", unfitted)
+    fitted = fit_file(capture, "a.ply")
+    found = load("a.ply", Splats)
+    assert found.up in (None, "-y")
+    np.testing.assert_allclose(found.means, built[0].with_up("z").means, atol=1e-6)
+    held_out = read_photographs(SILENT, Source(str(capture))).held_out
+    assert fitted.views == measure_views(found.without_up("z"), held_out)
 
 
 @pytest.mark.long  # three textures of 2048 x 2048
