@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nerfbake import io
 from nerfbake.device.adapters import AUTO as DEVICE
 from nerfbake.errors import BudgetMissed, Problem
 from nerfbake.jobs.files import FolderTarget, Source, Target, read_back_as
 from nerfbake.jobs.steps import SILENT, Steps
+
+if TYPE_CHECKING:
+    from nerfbake.stages.renderers import Renderer
 
 FRAMES, EDGE = 8, 400  # number of views around a scene that are compared, and their width and height in pixels
 
@@ -90,6 +93,7 @@ def judge_output(
     name: str | None = None,
     up: str = "z",
     read: Callable[[str], Any] = io.load,
+    render: Renderer | None = None,
     steps: Steps = SILENT,
 ) -> float | None:
     """Render a written file or folder and its source scene, and return the mean PSNR between them in dB.
@@ -101,6 +105,7 @@ def judge_output(
     name       name of `written` in messages, since it may not have its final name yet; None: its path
     up         the axis of a volume that the scene's z axis was mapped to
     read       function that loads `written`, instead of io.load()
+    render     renders fields; None: what budget.device chooses
 
     >>> tree = nerfbake.load("a.npz")
     >>> nerfbake.save("judged.svo.npz", nerfbake.build_octree(tree)) > 0
@@ -115,7 +120,7 @@ def judge_output(
     from nerfbake.jobs.views import renderable_scene, views_of
     from nerfbake.stages.scenes_to_comparison import compare_scenes
 
-    render = renderer_on(budget.device, steps=steps)
+    render = render or renderer_on(budget.device, steps=steps)
     seen = renderable_scene(steps, scene, made_from)
     views = views_of(
         steps, seen, budget.cameras, name=made_from, frames=FRAMES, edge=EDGE, samples=budget.samples, own=True

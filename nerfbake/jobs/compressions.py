@@ -129,6 +129,7 @@ def compress_file(
     reading = Reading(steps, source, functions=functions)
     reading.require()
     octree, held_out = reading.octree(), reading.held_out
+    shown = None if budget.min_psnr is None else reading.shown
     del reading
     options |= photographs.read(steps, held_out)
     with source.blamed(steps, "compressing") as tell:
@@ -137,5 +138,5 @@ def compress_file(
     reported = reporting(lambda: report(found) if report is not None else None)
     with reported, target.writing(steps, found.quantised, coding=coding) as written:
         steps.say(f"{target.name}: {found}")
-        judge_output(written.path, octree, budget, made_from=source.name, name=target.path, steps=steps)
+        judge_output(written.path, shown, budget, made_from=source.name, name=target.path, render=render, steps=steps)
     return found

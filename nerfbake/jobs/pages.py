@@ -29,9 +29,11 @@ from nerfbake.jobs.pictures import PlacedMesh
 from nerfbake.jobs.readings import FIELDS, Reading, upright_without
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import orbit_psnr, page_views
+from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.atlas import BakedAtlas
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.compression import Compression
+from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.image import Image
 from nerfbake.scene.lattice_field import LatticeField
@@ -230,7 +232,7 @@ def view_file(
     with written_or_opened(target) as file:
         form = file.require("Page")
         budget.require(file)
-        read = _read(steps, source, request, choice, functions)
+        read = _read(steps, source, request, choice, functions, judged=min_psnr is not None)
         if stage1 is not None and not isinstance(read.scene, BakedAtlas):
             raise UsageError(f"`stage1` needs an atlas, and {source.name} is not one; allowed: an atlas folder")
         look = PageLook(
@@ -257,9 +259,15 @@ def view_file(
         else:
             made = _compressed(steps, source, file, form, read, shown, request)
         with file.writing(steps, made) as written:
-            judged = shown.field if read.splats is None else read.splats
             judge_output(
-                written.path, judged, budget, made_from=source.name, name=file.path, read=field_of_page, steps=steps
+                written.path,
+                shown.field if read.judge is None else read.judge,
+                budget,
+                made_from=source.name,
+                name=file.path,
+                read=field_of_page,
+                render=shown.render,
+                steps=steps,
             )
     return made
 
@@ -316,18 +324,22 @@ class _Content(NamedTuple):
               is the inner cube
     held_out  the pixels of photographs
     scenery   the whole scene, if it has scenery
-    splats    those that the octree shows
+    judge     what the page is compared with; None: the field of the scene
+    origin    of the splats that the octree shows
     """
 
     data: memoryview | None
     scene: Any
     held_out: HeldOut | None = None
     scenery: N3Tree | None = None
-    splats: Splats | None = None
+    judge: Any = None
+    origin: Floats | None = None
 
 
-def _read(steps: Steps, source: Source, request: _Request, choice: GridChoice, functions: FunctionVoxels) -> _Content:
-    """Read the source."""
+def _read(
+    steps: Steps, source: Source, request: _Request, choice: GridChoice, functions: FunctionVoxels, *, judged: bool
+) -> _Content:
+    """Read the source. judged: keep what its voxels were made of."""
     standing = upright_without(request.photographs.cameras)
     kinds = *FIELDS, Meshes, Stage1, BakedAtlas
     reading = Reading(steps, source, *kinds, choice=choice, options=standing, functions=functions)
@@ -343,8 +355,9 @@ def _read(steps: Steps, source: Source, request: _Request, choice: GridChoice, f
         isinstance(reading.scene, N3Tree) and request.data != "exact"
     ):
         reading.octree()
-    splats = reading.shown if isinstance(reading.shown, Splats) else None
-    return _Content(reading.data, reading.scene, reading.held_out, reading.scenery, splats)
+    origin = reading.shown.origin if isinstance(reading.shown, Splats) else None
+    judge = reading.shown if judged and isinstance(reading.shown, Splats | LatticeField | FunctionField) else None
+    return _Content(reading.data, reading.scene, reading.held_out, reading.scenery, judge, origin)
 
 
 def _framed(
@@ -368,8 +381,7 @@ def _framed(
         field = build_field(read.scene)
         whole = field if scenery is None else build_field(scenery)
         around = () if scenery is None else build_page_shells(scenery)
-    origin = None if read.splats is None else read.splats.origin
-    views, first = page_views(steps, field, look.cameras, held_out, name=source.name, origin=origin)
+    views, first = page_views(steps, field, look.cameras, held_out, name=source.name, origin=read.origin)
     previews: tuple[bytes, ...] = ()
     if photographs:
         views, previews = read_previews(steps, str(look.cameras), views)

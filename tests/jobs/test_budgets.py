@@ -4,15 +4,28 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from nerfbake import Cameras, N3Tree, build_octree, build_vdb, cut_octree, load, save
 from nerfbake.errors import BudgetMissed, InvalidFile, InvalidScene
-from nerfbake.jobs import Budget, judge_output
+from nerfbake.jobs import Budget, compress_file, judge_output, view_file
+from nerfbake.scene.function_field import FunctionField
+from nerfbake.stages.scenes_to_comparison import compare_scenes
 from tests.jobs.listener import Listener
+from tests.support.functions import soft_file
 from tests.support.scenes import n3tree
+
+SMALL = {
+    "jobs.budgets.EDGE": 8,
+    "jobs.function_voxels.RESOLUTION": 16,
+    "jobs.function_voxels._EDGE": 4,
+    "scene.function_field._COARSE_GRID": 16,
+    "stages.function_to_part._RESOLUTION": 16,
+    "stages.function_to_image.STEPS": 32,
+}
 
 
 def test_the_file_is_judged_not_what_it_was_made_from(folder: Path, listener: Listener) -> None:
@@ -69,3 +82,29 @@ def test_a_volume_whose_y_is_up_is_turned_back() -> None:
     assert decibels is not None
     with pytest.raises(BudgetMissed):
         judge_output("y.nvdb", tree, Budget(min_psnr=50, cameras="cameras.json"), made_from="a.npz")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("command", "out"), [(compress_file, "f.svoq"), (view_file, "f.html")])
+@pytest.mark.usefixtures("folder", "fewer_rays")
+def test_a_trained_field_is_the_judge_of_what_is_made_of_it_and_the_device_is_opened_once(
+    command: Any, out: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judges: list[type] = []
+    opened: list[str] = []
+
+    def compare(a: Any, *others: Any, **options: Any) -> Any:
+        judges.append(type(a))
+        return compare_scenes(a, *others, **options)
+
+    def count(device: str) -> None:
+        opened.append(device)
+
+    for name, value in SMALL.items():
+        monkeypatch.setattr(f"nerfbake.{name}", value)
+    monkeypatch.setattr("nerfbake.stages.scenes_to_comparison.compare_scenes", compare)
+    monkeypatch.setattr("nerfbake.jobs.devices.open_device", count)
+    Path("field.tar").write_bytes(soft_file())
+    limit = {"budget": Budget(min_psnr=1)} if command is compress_file else {"min_psnr": 1}
+    command("field.tar", out, **limit)
+    assert (judges, opened) == ([FunctionField], ["auto"])
