@@ -37,15 +37,22 @@ _DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def in_order(scene: Splats) -> Splats:
-    """Return the splats in the order in which they are written: along a Morton curve through their box."""
+    """Return the splats in the order in which they are written: along a Morton curve."""
     return scene.take(morton_order(scene.means))
 
 
 def morton_order(means: npt.NDArray[np.float32]) -> Ints:
-    """Return the order of points (n, 3) along a Morton curve through their box."""
-    low, high = means.min(axis=0).astype(np.float64), means.max(axis=0).astype(np.float64)
+    """Return the order of points (n, 3) along a Morton curve through their box.
+
+    Of each axis, the middle 98% of the points have at least a third of the cells: one far point would otherwise put all
+    others into the same cell. Points beyond are in the outermost cells.
+    """
+    rare = len(means) // 100
+    ends = [0, rare, -1 - rare, -1]
+    least, low, high, most = np.partition(means, ends, axis=0)[ends].astype(np.float64)
+    low, high = np.maximum(least, 2 * low - high), np.minimum(most, 2 * high - low)
     share = (means - low) / np.where(high > low, high - low, 1.0)
-    cells = np.minimum(share * (1 << _BITS), (1 << _BITS) - 1).astype(np.int64)
+    cells = np.clip(share * (1 << _BITS), 0, (1 << _BITS) - 1).astype(np.int64)
     code = np.zeros(len(means), np.int64)
     for bit in range(_BITS):
         for axis in range(3):

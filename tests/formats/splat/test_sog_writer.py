@@ -49,6 +49,18 @@ def test_there_and_back_along_a_curve(degree: int, tmp_path: Path) -> None:
         assert {member.date_time[0] for member in archive.infolist()} == {1980}
 
 
+def test_a_far_splat_leaves_the_others_along_the_curve() -> None:
+    scene = splats(400, degree=0)
+    far = scene.means.copy()
+    far[7] *= 100_000
+    ordered, moved = (sog_writer.morton_order(means) for means in (scene.means, far))
+    steps = [
+        np.linalg.norm(np.diff(scene.means[order], axis=0), axis=1).mean()
+        for order in (moved[moved != 7], ordered, np.arange(400))
+    ]
+    assert steps[0] < 1.1 * steps[1] < 0.6 * steps[2]
+
+
 @pytest.mark.parametrize("degree", [0, 3])
 def test_gaussforge_reads_what_we_write(degree: int) -> None:
     data = written(splats(60, degree=degree))
