@@ -16,7 +16,8 @@ toc: two u64 for each stream, its packed and unpacked size. A stream is zstd; th
 
 Extensions: u32 type, u32 size, payload, one behind the other; in versions 1 to 3 behind the attributes. Only
 0xADBE0003, which names the axes of the file (u32, 1 to 16, see scene/splat_axes.py; 0: not named), changes how it is
-read. It is always written.
+read. It is always written in version 4. In version 3 it is written only for other axes than right, up, back, because
+readers of that version refuse it (three.js 0.187) or take its flag for antialiasing (Babylon.js 9.28).
 
 Flags: 1 antialiased, 2 extensions, 0x80 levels of detail. Spark's build-lod writes these in versions 2 and 3: parents
 are further rows, all opacities are halved, and behind the attributes are u16 the number of children of each row, then
@@ -64,6 +65,9 @@ UNNAMED = "axes not named; read as right, up, back (SPZ's README)"
 _OLD_READERS = (
     "version 4 of .spz; Omniverse's converter, gsply without an extra and older plug-ins of Unity and game engines read"
     " only up to 3, which `spz_version=3` writes"
+)
+_NAMES_IN_3 = (
+    "names its axes in version 3 of .spz; three.js 0.187 refuses that, and Babylon.js 9.28 takes it for antialiased"
 )
 _MOST_BITS = 23  # fractional bits
 _LARGEST = (1 << 23) - 1
@@ -306,7 +310,7 @@ def encode(
 
     small        store SH as Niantic's own writer does, in 5 bits for degree 1 and 4 bits above, which are packed into
                  fewer bytes; otherwise in 8 bits
-    axes         of the file, which an extension names
+    axes         of the file, which an extension names; version 3 does not name RUB
     spz_version  3: gzip, for readers that do not know 4
 
     Raises InvalidScene for means beyond 2^23, and for SH of degree 4 in version 3.
@@ -335,8 +339,9 @@ def encode(
         _bytes(rest),
     )
     parts = [array.tobytes() for array in arrays if array.size]
-    flags = _EXTENDED | (_ANTIALIASED if scene.antialiased else 0)
-    extension = struct.pack("<III", _COORDINATE_SYSTEM, 4, AXES.index(axes) + 1)
+    named = spz_version == 4 or axes != _USUAL
+    flags = (_EXTENDED if named else 0) | (_ANTIALIASED if scene.antialiased else 0)
+    extension = struct.pack("<III", _COORDINATE_SYSTEM, 4, AXES.index(axes) + 1) if named else b""
     head = _HEAD.pack(_MAGIC, spz_version, n, scene.degree, bits, flags, len(parts) if spz_version == 4 else 0)
     if spz_version == 3:
         yield gzip_whole([head, *parts, extension])
@@ -348,9 +353,11 @@ def encode(
     yield from packed
 
 
-def readers_note(*, spz_version: int = 4, **options: object) -> str:
-    """Return which programs are too old for a file; '' if none is known."""
-    return _OLD_READERS if spz_version == 4 else ""
+def readers_note(*, spz_version: int = 4, axes: Axes = _USUAL, **options: object) -> str:
+    """Return which programs do not read a file, or read it wrongly; '' if none is known."""
+    if spz_version == 4:
+        return _OLD_READERS
+    return "" if axes == _USUAL else _NAMES_IN_3
 
 
 def _bytes(values: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
