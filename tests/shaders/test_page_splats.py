@@ -202,6 +202,21 @@ def test_depth_and_first_coefficients(browser: Browser, some: Drawn) -> None:
         assert decibels(found[..., 0], expected) >= 45
 
 
+def test_the_help_names_the_keys_that_splats_have(browser: Browser, some: Drawn) -> None:
+    with browser.opened(some.path) as page:
+        page.wait_until_ready()
+        page.page.keyboard.press("h")
+        told = page.page.inner_text("#help")
+        assert "1 to 3 what is shown" in told
+        assert "crop box, distances" in told
+        assert "voxel" not in told
+        page.page.keyboard.press("Escape")
+        for key, mode in (("2", "first"), ("3", "depth"), ("4", "depth"), ("1", "colour")):
+            page.page.keyboard.press(key)
+            assert page.ask("nerfbake.looks.mode") == mode
+        assert page.log == []
+
+
 def test_graphics_that_are_lost_come_back(browser: Browser, some: Drawn) -> None:
     with browser.opened(some.path) as page:
         page.wait_until_ready()

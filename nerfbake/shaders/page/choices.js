@@ -11,8 +11,10 @@ function choicesOf(viewer) {
   const { modes, triangles } = viewer.facts, choices = {};
   // A page of triangles or splats alone has no lookup, level of detail or cut, and triangles have no crop box.
   for (const name of modes ? ["lookup", "detail", "cut"] : []) element(name).parentElement.hidden = true;
-  for (const name of viewer.facts.kind === "surface" ? ["clip", "whole"] : []) element(name).hidden = true;
+  for (const told of modes ? [...document.querySelectorAll(".of_voxels")] : []) told.remove();
+  for (const name of viewer.facts.kind === "surface" ? ["clip", "whole", "clip_told"] : []) element(name).hidden = true;
   for (const option of [...element("mode").options]) if (modes && !modes.includes(option.value)) option.remove();
+  element("modes_told").textContent = String(element("mode").options.length);
   for (const [name, values] of [["highlights", triangles?.highlights], ["composite", triangles?.composites]]) {
     if (values?.length > 1) choices[name] = offered(viewer, name, values);
     else element(name).parentElement.remove();

@@ -92,14 +92,14 @@ class Controls {
     else if (key === "n" || key === "N") viewer.next(1);
     else if (key === "p" || key === "P") viewer.next(-1);
     else if ((key === "v" || key === "V") && viewer.photograph.facts) viewer.photograph.toggle();
-    else if (key >= "1" && key <= "5") viewer.show(Object.keys(MODES)[Number(key) - 1]);
+    else if (key >= "1" && key <= "5") viewer.show(element("mode").options[Number(key) - 1]?.value ?? viewer.looks.mode);
     else if (key === "r" || key === "R") viewer.reset();
     else if (key === "f" || key === "F") fullScreen();
     else if (key === "b" || key === "B") viewer.nextBackground();
     else if (key === "c" || key === "C") viewer.panel.copy();
     else if (key === "o" || key === "O") viewer.panel.toggle();
     else if (key === "s" || key === "S") viewer.panel.save();
-    else if (key === "t" || key === "T") viewer.panel.look(viewer.looks.smoothly ? "nearest" : "trilinear");
+    else if ((key === "t" || key === "T") && !viewer.facts.modes) viewer.panel.look(viewer.looks.smoothly ? "nearest" : "trilinear");
     else if (key === "h" || key === "H" || key === "?") element("help").showModal();
     else return;
     event.preventDefault();
