@@ -15,6 +15,8 @@ from nerfbake import (
 )
 from nerfbake.errors import UsageError
 from nerfbake.scene.page import PageField
+from nerfbake.scene.page_splats import PageSplats
+from tests.support.splats import ball_of_splats
 
 
 def test_trees_octrees_and_fields_carry_what_the_shader_reads() -> None:
@@ -38,6 +40,16 @@ def test_a_compressed_octree_is_carried_as_it_is() -> None:
     assert page.content is quantised
     assert page.field is not None
     assert len(page.field.values) > 0
+
+
+def test_splats_are_drawn_as_splats() -> None:
+    page = view(ball_of_splats(), title="A ball")
+    assert isinstance(page.content, PageSplats)
+    assert page.content.n == ball_of_splats().n
+    assert page.cover.alpha.max() > 0.5
+    frame = page._repr_html_()
+    assert frame is not None
+    assert "&quot;kind&quot;:&quot;splats&quot;" in frame.replace(": ", ":")
 
 
 def test_what_has_no_field_is_refused() -> None:
