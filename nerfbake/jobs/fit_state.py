@@ -165,7 +165,9 @@ class FitRun:
 
 
 _OFTEN = 30.0  # seconds between checkpoints
-_VERSION = 4
+# Of checkpoints. Increase it when their arrays change, or when a fit starts from other cells: a fit that goes on would
+# then differ from one that begins anew.
+_VERSION = 5
 
 
 class Checkpoint(NamedTuple):
@@ -186,7 +188,7 @@ class CheckpointWriter:
 
     def __init__(self, folder: str, arguments: Mapping[str, str], views: Views) -> None:
         self._folder = folder
-        self._key = {"version": str(_VERSION), **arguments, "pictures": _digest(views)}
+        self._key = {"checkpoint format": str(_VERSION), **arguments, "pictures": _digest(views)}
         self._kept = time.monotonic()
 
     @property
@@ -220,7 +222,9 @@ class CheckpointWriter:
             if key.get(name) != value:
                 was = str(key.get(name, "nothing"))[:80]
                 if name == "pictures":
-                    problem = Problem("the fit", "had other pictures or cameras", "the same, or another `state`")
+                    problem = Problem(
+                        "the fit", "had other pictures, cameras or points", "the same, or another `state`"
+                    )
                 else:
                     problem = Problem(
                         f"the fit's {name}", f"was {was}", f"the same as now ({value}), or another `state`"
@@ -239,6 +243,9 @@ def _digest(views: Views) -> str:
         inside = tuple(map(float, (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)))
         found.update(repr((inside, camera.lens, camera.pose.tolist())).encode())
         found.update(pixels.tobytes())
+    if (points := views.cameras.points) is not None:  # the first cells are where they are
+        for array in (points.positions, points.camera, points.point, points.pixel):
+            found.update(array.tobytes())
     return found.hexdigest()
 
 

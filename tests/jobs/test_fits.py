@@ -258,7 +258,7 @@ def test_a_killed_run_goes_on_where_it_was(trainer: FakeFit, capture: Path) -> N
         (
             PhotographOptions(background=(0.0, 0.0, 0.0)),
             FitOptions(),
-            r"the fit had other pictures or cameras; allowed: the same, or",
+            r"the fit had other pictures, cameras or points; allowed: the same, or",
         ),
     ],
 )
@@ -273,7 +273,7 @@ def test_a_state_of_another_fit_is_refused(
 
 
 HOSTILE: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
-    "no facts": ({"key": None}, {}, "the fit's version was nothing"),
+    "no facts": ({"key": None}, {}, "the fit's checkpoint format was nothing"),
     "a negative time": ({"worked": -1}, {}, "worked is -1; allowed: a number of seconds"),
     "no time": ({"worked": "long"}, {}, "worked is long"),
     "a time of nothing": ({"passed": None}, {}, "passed is None; allowed: a number of seconds"),
