@@ -99,6 +99,7 @@ class FitRun:
         self._which = f"{min(count, HANDFUL)} of {count} held-out views"
         self._held_out = held_out.take(range(0, count, max(1, count // HANDFUL))[:HANDFUL])
         self._looked, self._epoch = 0.0, (0, 0)
+        self.devices = [self.device]
         self.clock, self.curve = Clock(), list[CurvePoint]()
 
     @property
@@ -112,16 +113,18 @@ class FitRun:
         state: the state of the fit, which returns to where it was last read; None: there is none yet.
         """
         self.gpu = None
+        self.devices.append(self.device)
         if state is None:
             return "the CPU does all of the fit"
         state.return_to_cpu()
         self._epoch = state.stage, state.epoch
         return f"the CPU goes on from stage {state.stage + 1}, epoch {state.epoch + 1}"
 
-    def goes_on(self, state: FitState, *, worked: float, passed: float, curve: Sequence[CurvePoint]) -> None:
-        """Resume from the state of an earlier run, with its CPU seconds, wall-clock seconds and curve."""
+    def goes_on(self, state: FitState, last: Checkpoint) -> None:
+        """Resume from the state in the checkpoint of an earlier run."""
         self._epoch = state.stage, state.epoch
-        self.clock, self.curve = Clock(worked, passed), list(curve)
+        self.clock, self.curve = Clock(last.worked, last.passed), list(last.curve)
+        self.devices = list(dict.fromkeys([*last.devices, self.device]))
 
     def follow(self, state: FitState) -> bool:
         """Return whether an epoch has ended since the last state. If so, measure the quality."""
@@ -171,13 +174,14 @@ _VERSION = 5
 
 
 class Checkpoint(NamedTuple):
-    """A checkpoint: its file, its arrays, and the CPU seconds, wall-clock seconds and curve until then."""
+    """A checkpoint: its file, its arrays, and the CPU seconds, wall-clock seconds, curve and devices until then."""
 
     path: str
     arrays: dict[str, Any]
     worked: float
     passed: float
     curve: list[CurvePoint]
+    devices: list[str]
 
 
 class CheckpointWriter:
@@ -195,9 +199,11 @@ class CheckpointWriter:
     def is_due(self) -> bool:
         return time.monotonic() - self._kept > _OFTEN
 
-    def keep(self, state: FitState, *, worked: float, passed: float, curve: Sequence[CurvePoint]) -> None:
+    def keep(
+        self, state: FitState, *, worked: float, passed: float, curve: Sequence[CurvePoint], devices: Sequence[str]
+    ) -> None:
         """Replace the last checkpoint atomically. Raises OutputError."""
-        facts = {"key": self._key, "worked": worked, "passed": passed, "curve": curve}
+        facts = {"key": self._key, "worked": worked, "passed": passed, "curve": curve, "devices": devices}
         io.save_checkpoint(self._folder, facts, state.arrays())
         self._kept = time.monotonic()
 
@@ -214,7 +220,8 @@ class CheckpointWriter:
         with io.blame(path):
             self._require_same(facts.get("key"))
             worked, passed = (_number(name, facts.get(name)) for name in ("worked", "passed"))
-            return Checkpoint(path, arrays, worked, passed, _points(facts.get("curve")))
+            curve, devices = _points(facts.get("curve")), _devices(facts.get("devices"))
+            return Checkpoint(path, arrays, worked, passed, curve, devices)
 
     def _require_same(self, key: Any) -> None:
         key = key if isinstance(key, dict) else {}
@@ -253,6 +260,12 @@ def _number(name: str, value: Any) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < 1e9:
         raise InvalidFile(Problem(name, f"is {str(value)[:40]}", "a number of seconds"))
     return float(value)
+
+
+def _devices(names: Any) -> list[str]:
+    if not (isinstance(names, list) and names and all(isinstance(name, str) for name in names)):
+        raise InvalidFile(Problem("devices", f"is {str(names)[:40]}", "a list of names"))
+    return names
 
 
 def _points(rows: Any) -> list[CurvePoint]:

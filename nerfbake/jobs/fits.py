@@ -329,7 +329,7 @@ def _fit(
     from nerfbake.stages.views_to_field import fit_field
 
     views = split.training
-    state = start = _start(checkpoints, run)
+    state = start = _start(steps, checkpoints, run)
     if run.gpu is not None:
         steps.say(f"{source.name}: fits on {run.device}")
     with steps.phase("fitting"), io.blame(source.name):
@@ -362,8 +362,8 @@ def _tell_agreement(steps: Steps, source: Source, agreement: float | None) -> No
         steps.say(f"{source.name}: {found}; right poses mostly give 16% or more; {_CHECK}")
 
 
-def _start(checkpoints: CheckpointWriter | None, run: FitRun) -> FitState | None:
-    """Return the state in the last checkpoint, or None if there is none."""
+def _start(steps: Steps, checkpoints: CheckpointWriter | None, run: FitRun) -> FitState | None:
+    """Return the state in the last checkpoint, or None if there is none. Prints that another device worked on it."""
     last = None if checkpoints is None else checkpoints.last()
     if last is None:
         return None
@@ -371,14 +371,16 @@ def _start(checkpoints: CheckpointWriter | None, run: FitRun) -> FitState | None
 
     with io.blame(last.path):
         state = FitState.of_arrays(last.arrays)
-    run.goes_on(state, worked=last.worked, passed=last.passed, curve=last.curve)
+    run.goes_on(state, last)
+    if others := [name for name in run.devices if name != run.device]:
+        steps.say(f"{last.path}: is from {' and '.join(others)}; with {run.device} the fit ends in other bytes")
     return state
 
 
 def _keep(checkpoints: CheckpointWriter, state: FitState, run: FitRun) -> None:
     worked, passed = run.clock.worked, run.clock.passed
     with run.clock.paused():
-        checkpoints.keep(state, worked=worked, passed=passed, curve=run.curve)
+        checkpoints.keep(state, worked=worked, passed=passed, curve=run.curve, devices=run.devices)
 
 
 def _converted(

@@ -26,7 +26,7 @@ def writer(folder: Path, points: float | None = None) -> CheckpointWriter:
 
 
 def test_points_are_part_of_what_was_fitted(tmp_path: Path) -> None:
-    writer(tmp_path, 1.0).keep(STATE, worked=1.0, passed=1.0, curve=[])
+    writer(tmp_path, 1.0).keep(STATE, worked=1.0, passed=1.0, curve=[], devices=["cpu"])
     assert writer(tmp_path, 1.0).last() is not None
     for other in (None, 2.0):
         with pytest.raises(InvalidFile, match="the fit had other pictures, cameras or points; allowed: the same, or"):
@@ -38,7 +38,7 @@ def test_a_checkpoint_of_a_program_that_started_elsewhere_is_refused(
 ) -> None:
     with monkeypatch.context() as before:
         before.setattr("nerfbake.jobs.fit_state._VERSION", 4)
-        writer(tmp_path).keep(STATE, worked=1.0, passed=1.0, curve=[])
+        writer(tmp_path).keep(STATE, worked=1.0, passed=1.0, curve=[], devices=["cpu"])
     with pytest.raises(
         InvalidFile, match=r"the fit's checkpoint format was 4; allowed: the same as now \(5\), or another"
     ):

@@ -279,6 +279,7 @@ HOSTILE: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "a time of nothing": ({"passed": None}, {}, "passed is None; allowed: a number of seconds"),
     "a curve of text": ({"curve": [["a"] * 6]}, {}, "curve is no list of points; allowed: 6 numbers each"),
     "a short curve": ({"curve": [[1]]}, {}, "curve is no list of points"),
+    "no devices": ({"devices": []}, {}, "devices is \\[\\]; allowed: a list of names"),
     "other arrays": ({}, {"at": np.ones(3)}, "at is no state"),
     "more arrays": ({}, {"more": np.ones(3)}, "at is no state"),
 }

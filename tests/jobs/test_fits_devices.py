@@ -56,6 +56,23 @@ def test_without_a_card_nothing_is_told(trainer: FakeFit, capture: Path, listene
     assert not any("fits on" in line for line in listener.said)
 
 
+def test_a_checkpoint_of_another_device_is_told(trainer: FakeFit, capture: Path, listener: Listener) -> None:
+    def stop() -> None:
+        raise RuntimeError("killed")
+
+    def fit(device: str) -> None:
+        fit_file(capture, "a.npz", options=FitOptions(device=device), state="state", steps=listener)
+
+    for step in (8, 5):
+        trainer.steps, trainer.at_step = 0, {step: stop}
+        with pytest.raises(RuntimeError, match="killed"):
+            fit("gpu")
+    assert not any("other bytes" in line for line in listener.said)
+    trainer.at_step = {}
+    fit("cpu")
+    assert "state/checkpoint.npz: is from A Card 5; with cpu the fit ends in other bytes" in listener.said
+
+
 def test_minutes_are_those_of_the_card(trainer: FakeFit, capture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nerfbake.stages.fit_speed.measure_speed", lambda _: 10.0)
     monkeypatch.setattr("nerfbake.jobs.fits.measure_views", lambda *_, **__: (_ for _ in ()).throw(UsageError("stop")))
