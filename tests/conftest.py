@@ -94,7 +94,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 # Seconds: an estimate for each test, by its first marker here, and the files of tests that take much longer.
 SECONDS = {"long": 5.0, "slow": 1.5, "tools": 0.5}
-LONGER = {"tests/test_readme.py": 60.0, "tests/fuzz/test_fuzz.py": 30.0}
+LONGER = {"tests/test_readme.py": 5.0, "tests/fuzz/test_fuzz.py": 30.0}
 
 
 def seconds_of(item: pytest.Item) -> float:

@@ -1,7 +1,8 @@
 """The README, the pages of docs/ and the schemas' pages: every block runs as it stands, every link leads somewhere.
 
 Blocks marked `sh`, `python` and `make` are run; a `make` block is the Makefile of those after it. What is indented
-needs scenes or programs that not everybody has, and is not run.
+needs scenes or programs that not everybody has, and is not run. Each command of the README is a process, as readers
+start it. Those of all other pages run in one process, which loads each kernel once.
 """
 
 from __future__ import annotations
@@ -10,20 +11,24 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import pytest
 
 from nerfbake import catalog
 from nerfbake.errors import BudgetMissed, InvalidFile, NerfbakeError, OutputError, PipeClosed, UsageError
 from tests.conftest import REPOSITORY
+from tests.support.one_process import OneProcess
 from tests.support.pages import broken_links
 
 README = REPOSITORY / "README.md"
 SHADERS = REPOSITORY / "nerfbake" / "shaders" / "README.md"
 PAGES = [README, SHADERS, *(page for name in ("docs", "schemas") for page in sorted((REPOSITORY / name).rglob("*.md")))]
 LINKED = [*PAGES, REPOSITORY / "CONTRIBUTING.md", REPOSITORY / "CHANGELOG.md", REPOSITORY / "SECURITY.md"]
+PROGRAMS = Path(sys.executable).parent
 BLOCK = re.compile(r"^```(sh|python|make)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -31,27 +36,51 @@ def name_of(page: Path) -> str:
     return str(page.relative_to(REPOSITORY))
 
 
-def run(language: str, text: str, folder: Path) -> subprocess.CompletedProcess[bytes]:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+def run(language: str, text: str, folder: Path, *, programs: Path = PROGRAMS) -> tuple[int, str]:
+    """Run a block with the `nerfbake` in a folder of programs. Returns the exit code, and what it wrote to stderr."""
+    path = os.pathsep.join([str(programs), str(PROGRAMS), os.environ["PATH"]])
     command = [sys.executable, "-c", text] if language == "python" else ["bash", "-euo", "pipefail", "-c", text]
-    return subprocess.run(command, cwd=folder, env=os.environ | {"PATH": path}, capture_output=True, check=False)
+    with TemporaryFile() as errors:
+        streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": errors}
+        code = subprocess.call(command, cwd=folder, env=os.environ | {"PATH": path}, **streams)
+        errors.seek(0)
+        return code, errors.read().decode()
+
+
+@pytest.fixture(scope="module")
+def one_process() -> Iterator[Path]:
+    """A folder with a `nerfbake` whose commands run in one process."""
+    process = OneProcess(REPOSITORY)
+    yield process.path
+    process.close()
 
 
 # A reader may start at any page: each has a folder of its own, and its blocks follow one another there.
 @pytest.mark.long
 @pytest.mark.parametrize("page", [page for page in PAGES if BLOCK.search(page.read_text())], ids=name_of)
-def test_the_blocks_of_a_page_run_in_their_order(page: Path, tmp_path: Path) -> None:
+def test_the_blocks_of_a_page_run_in_their_order(page: Path, one_process: Path, tmp_path: Path) -> None:
+    programs = PROGRAMS if page == README else one_process
     for language, text in BLOCK.findall(page.read_text()):
         if language == "make":
             (tmp_path / "Makefile").write_text(text)
             continue
-        done = run(language, text, tmp_path)
-        assert done.returncode == 0, f"{text}\n{done.stderr.decode()}"
+        code, errors = run(language, text, tmp_path, programs=programs)
+        assert code == 0, f"{text}\n{errors}"
 
 
-def test_a_block_that_fails_fails_the_test(tmp_path: Path) -> None:
-    assert run("sh", "false | true\n", tmp_path).returncode == 1
-    assert run("python", "raise SystemExit(3)\n", tmp_path).returncode == 3
+def test_a_block_that_fails_fails_the_test(one_process: Path, tmp_path: Path) -> None:
+    assert run("sh", "false | true\n", tmp_path) == (1, "")
+    assert run("python", "raise SystemExit(3)\n", tmp_path) == (3, "")
+    code, errors = run("sh", "nerfbake info gone.npz | cat\n", tmp_path, programs=one_process)
+    assert (code, "gone.npz" in errors) == (1, True)
+    assert run("sh", "nerfbake info --no-such-option\ntouch ran\n", tmp_path, programs=one_process)[0] == 2
+    assert not (tmp_path / "ran").exists()
+
+
+def test_commands_of_one_process_have_their_own_folder_and_streams(one_process: Path, tmp_path: Path) -> None:
+    made = "nerfbake sample octree - --to npz --resolution 8 | nerfbake svo - - --to svo.pb >a.svo.pb"
+    assert run("sh", f"{made}; mkdir b; cd b; nerfbake info ../a.svo.pb >c\n", tmp_path, programs=one_process)[0] == 0
+    assert "8x8x8" in (tmp_path / "b" / "c").read_text()
 
 
 @pytest.mark.parametrize("page", LINKED, ids=name_of)
