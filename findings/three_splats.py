@@ -1,4 +1,4 @@
-"""Let three.js draw a .ply of splats in a headless Chromium, for the findings about it. Needs playwright and chromium."""
+"""Let three.js draw a .ply of splats in a headless Chromium, for findings. Needs playwright and chromium."""
 
 import base64
 import shutil

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# three.js 0.187.0: colours that spherical harmonics bring back into range are lost, because their base is cut off first.
+# three.js 0.187.0: colours that spherical harmonics bring back into range are lost: their base is cut off first.
 #
-# A splat's colour is a base plus terms for the direction, and only the sum has to be in 0..1. The loaders of splats store
-# the base in a byte, cut off at 0 and 1, before the shader adds the terms, and each coefficient of a term in -1..1. What
-# should be 1.4 - 0.44 = 0.96 is drawn as 0.56, and -0.3 + 0.44 = 0.14 as 0.44. A .spz has room for bases from -0.44 to
-# 1.44, for this very reason; its loader cuts them off as well.
+# A splat's colour is a base plus terms for the direction, and only the sum has to be in 0..1. The loaders store the base
+# in a byte, cut off at 0 and 1, before the shader adds the terms, and each coefficient of a term in -1..1. What should
+# be 1.4 - 0.44 = 0.96 is drawn as 0.56, and -0.3 + 0.44 = 0.14 as 0.44. A .spz has room for bases from -0.44 to 1.44,
+# for this very reason; its loader cuts them off as well.
 # Needs Chromium (Debian: chromium).
 #
 # Seen on 2026-11-28, with Chromium 156 (base and term; right colour and drawn colour, of 255):

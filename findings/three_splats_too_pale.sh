@@ -7,7 +7,7 @@
 # `renderer.outputColorSpace = LinearSRGBColorSpace` splats are right.
 # Needs Chromium (Debian: chromium).
 #
-# Seen on 2026-11-28, with Chromium 156 (colour of the splat; in the middle of the picture by default, with linear output):
+# Seen on 2026-11-28, with Chromium 156 (colour of the splat; pixel by default, with linear output):
 #   0.5 128 187 126
 #   0.2 51 123 50
 #
