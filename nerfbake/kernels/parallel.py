@@ -1,16 +1,17 @@
 """Run work in chunks on every core. NumPy releases the GIL while it copies and adds.
 
-The caller of a loop works, too, and never waits for a chunk that no thread has begun. So loops may be nested, and end
-if no thread can be started. Threads that stay from loop to loop were tried: 32 instead of 148 microseconds for a loop
-with nothing to do.
+One pool of threads does the work of all loops. The caller of a loop works, too, and never waits for a chunk that no
+thread has begun. So loops may be nested, and end if all threads of the pool are busy or no thread can be started.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import wraps
+from queue import SimpleQueue
 from threading import Condition, Semaphore, Thread, current_thread
 from typing import Concatenate, ParamSpec, TypeVar
 
@@ -57,27 +58,19 @@ class _Shared:
     def __init__(self, work: Callable[[int], None], tasks: Iterable[int]) -> None:
         self.errors: list[BaseException] = []
         self._work, self._tasks = work, iter(tasks)
-        self._helpers: set[Thread] = set()
+        self._helpers, self._finished = set[Thread](), False
         self._changed = Condition()
 
-    def begin(self, helpers: int) -> None:
-        """Let so many other threads do tasks, or fewer if the operating system allows no more."""
-        for _ in range(helpers):
-            thread = Thread(target=self._help)
-            self._helpers.add(thread)
-            try:
-                thread.start()
-            except RuntimeError:
-                self._helpers.discard(thread)
+    def help(self) -> None:
+        """Do tasks in a thread of the pool, unless the caller has finished."""
+        with self._changed:
+            if self._finished:
                 return
-
-    def _help(self) -> None:
-        try:
-            self.run()
-        finally:
-            with self._changed:
-                self._helpers.discard(current_thread())
-                self._changed.notify_all()
+            self._helpers.add(current_thread())
+        self.run()
+        with self._changed:
+            self._helpers.discard(current_thread())
+            self._changed.notify_all()
 
     def run(self) -> None:
         """Do tasks until none is left."""
@@ -99,16 +92,66 @@ class _Shared:
         while True:
             try:
                 with self._changed:
-                    self._tasks = iter(())
+                    self._tasks, self._finished = iter(()), True
                     while self._helpers - {current_thread()}:
                         self._changed.wait()
-                return
+                break
             except BaseException as error:
                 self.errors.append(error)
+        self._work = _nothing  # the pool may still hold invitations
 
     def raise_first(self) -> None:
         if self.errors:
             raise self.errors[0]
+
+
+class _Pool:
+    """Threads that wait for work until the process ends: as many as a loop has asked for at once.
+
+    It has no lock. The garbage collector may end a loop at any line, which waits for threads that would need the lock.
+    """
+
+    def __init__(self) -> None:
+        self._invitations: SimpleQueue[_Shared | None] = SimpleQueue()
+        self._threads: list[Thread] = []
+
+    def invite(self, shared: _Shared, helpers: int) -> None:
+        """Ask so many threads to help, or fewer if the operating system allows no more. Busy ones come later."""
+        try:
+            while len(self._threads) < helpers:
+                thread = Thread(target=self._serve, name="nerfbake", daemon=True)
+                thread.start()
+                self._threads.append(thread)
+        except RuntimeError:
+            helpers = len(self._threads)
+        for _ in range(helpers):
+            self._invitations.put(shared)
+
+    def _serve(self) -> None:
+        while (shared := self._invitations.get()) is not None:
+            shared.help()
+            del shared  # frees the frames of its errors while the thread waits
+
+    def close(self) -> None:
+        """End the threads. Python would end while they still run compiled code."""
+        for _ in self._threads:
+            self._invitations.put(None)
+        for thread in self._threads:
+            thread.join()
+
+
+_pool = _Pool()
+
+
+def _renew() -> None:
+    """Start anew in the child of a fork, which has none of the threads."""
+    global _pool
+    _pool = _Pool()
+
+
+atexit.register(lambda: _pool.close())
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew)
 
 
 def taken_in_turn(kernel: Callable[Concatenate[Ints, Arguments], None]) -> Callable[Arguments, None]:
@@ -134,7 +177,7 @@ def over_chunks(work: Callable[[int, int], None], count: int, chunk: int) -> Non
     starts = range(0, count, chunk)
     shared = _Shared(lambda start: work(start, min(start + chunk, count)), starts)
     try:
-        shared.begin(min(len(starts), cores()) - 1)
+        _pool.invite(shared, min(len(starts), cores()) - 1)
         shared.run()
     finally:
         shared.finish()
@@ -149,7 +192,7 @@ def prefetched(items: Iterable[Item]) -> Generator[Item]:
         item = made.pop()
         ahead = _Shared(lambda _: made.extend(_some(source)), range(1))
         try:
-            ahead.begin(min(cores() - 1, 1))
+            _pool.invite(ahead, min(cores() - 1, 1))
             yield item
             ahead.run()
         finally:
@@ -186,10 +229,10 @@ def in_order(works: Iterable[Callable[[], Item]], *, most: int | None = None) ->
 
 
 def _begun(work: Callable[[], Item], helpers: int) -> tuple[_Shared, list[Item]]:
-    """Let another thread do the work if there may be one. Returns it, and the list that gets its result."""
+    """Let a thread of the pool do the work if there is one. Returns it, and the list that gets its result."""
     made = list[Item]()
     shared = _Shared(lambda _: made.append(work()), range(1))
-    shared.begin(min(helpers, 1))
+    _pool.invite(shared, min(helpers, 1))
     return shared, made
 
 

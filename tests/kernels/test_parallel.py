@@ -5,9 +5,10 @@ import os
 import signal
 import subprocess
 import sys
+import weakref
 from collections.abc import Iterator
 from functools import partial
-from threading import Barrier, Event, Thread, current_thread, main_thread
+from threading import Barrier, Event, Thread, active_count, current_thread, main_thread
 from time import sleep
 
 import numpy as np
@@ -81,7 +82,7 @@ def _take(turn: Ints, tasks: Ints) -> None:
         tasks[task] += 1
 
 
-def test_an_error_in_any_thread_is_raised_and_the_next_loop_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_in_any_thread_is_raised_and_the_pool_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
 
     def work(begin: int, end: int) -> None:
@@ -120,6 +121,7 @@ def test_no_thread_works_on_after_an_error_or_ctrl_c(monkeypatch: pytest.MonkeyP
     with pytest.raises(KeyboardInterrupt):
         parallel.over_chunks(work, 2, 1)
     assert ended.is_set()
+    assert _helped_by_threads(0)
 
 
 def test_ctrl_c_while_the_other_threads_finish_is_raised_after_them(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -156,10 +158,35 @@ def test_loops_within_loops_and_beside_each_other_end(monkeypatch: pytest.Monkey
     assert found == [expected] * 180
 
 
+def test_the_threads_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
+    _sum_of_parts(100)
+    before = active_count()
+    for _ in range(50):
+        _sum_of_parts(100)
+    assert active_count() == before
+
+
+def test_the_pool_keeps_nothing_of_a_loop_that_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
+
+    class Large:
+        def work(self, begin: int, end: int) -> None:
+            """Do nothing."""
+
+    for _ in range(50):
+        large = Large()
+        freed = weakref.ref(large)
+        parallel.over_chunks(large.work, 2, 1)
+        del large
+        assert freed() is None
+
+
 def test_without_further_threads_the_caller_does_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(self: Thread) -> None:
         raise RuntimeError("can't start new thread")
 
+    monkeypatch.setattr(parallel, "_pool", parallel._Pool())
     monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
     monkeypatch.setattr(Thread, "start", refused)
     assert _sum_of_parts(100) == sum(range(100))
@@ -176,6 +203,27 @@ def test_the_child_of_a_fork_has_threads_of_its_own(monkeypatch: pytest.MonkeyPa
     assert _sum_of_parts(1000) == expected
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="a fork")
+def test_a_fork_while_all_threads_are_busy_has_threads_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 2)
+    begun, over = Event(), Event()
+
+    def items() -> Iterator[int]:
+        yield 0
+        begun.set()
+        over.wait(30)
+        yield 1
+
+    ahead = parallel.prefetched(items())
+    assert next(ahead) == 0
+    assert begun.wait(10)
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        assert pool.map_async(_helped_by_threads, [0]).get(30) == [True]
+    assert _sum_of_parts(100) == sum(range(100))  # nobody helps
+    over.set()
+    assert list(ahead) == [1]
+
+
 def _helped_by_threads(_: int) -> bool:
     """Return whether two threads work at the same time."""
     both = Barrier(2)
@@ -187,18 +235,18 @@ def _helped_by_threads(_: int) -> bool:
     return True
 
 
-def test_a_process_ends_while_an_item_is_made_ahead() -> None:
+def test_a_process_ends_when_the_item_that_is_made_ahead_is_there() -> None:
     program = (
         "from nerfbake.kernels import parallel\n"
         "from time import sleep\n"
-        "ahead = parallel.prefetched(sleep(0.1) for _ in range(3))\n"
+        "ahead = parallel.prefetched(sleep(0.1) or print(item) for item in range(3))\n"
         "next(ahead)\n"
         "parallel.over_chunks(lambda *_: None, 5, 1)\n"
         "keep = [ahead]; keep.append(keep)\n"
     )
     environment = {**os.environ, "NUMBA_NUM_THREADS": "2"}
     found = subprocess.run([sys.executable, "-c", program], env=environment, timeout=30, capture_output=True)
-    assert (found.returncode, found.stderr) == (0, b"")
+    assert (found.returncode, found.stdout, found.stderr) == (0, b"0\n1\n", b"")
 
 
 def test_items_made_ahead_come_in_order_with_the_error_behind_them() -> None:
@@ -246,6 +294,7 @@ def test_a_thread_that_collects_the_generator_it_works_for_does_not_wait_for_its
     begun.wait()
     dropped.set()
     assert ended.wait(5)
+    assert _helped_by_threads(0)
 
 
 @pytest.mark.parametrize("cores", [1, 2, 5])
