@@ -25,7 +25,7 @@ _TILE = 8  # pixels along an edge of a workgroup
 _LEVELS = 32  # levels of a tree in a record of the shader
 _LEVEL_BITS = 6  # of an entry of Cells.top: its level
 _FARTHEST = 1 << 14  # cells from a bent camera to the box, beyond which float32 is too coarse
-_PIXEL_FLOATS = 5  # colour, alpha and depth
+PIXEL_FLOATS = 5  # colour, alpha and depth
 _ROWS = 1 << 16  # rows of values that are arranged at a time
 
 # A record of the shader, in the layout of WGSL.
@@ -102,11 +102,11 @@ class FieldOnDevice:
     def start(self, view: View) -> Callable[[], Image]:
         """Start the work of a picture; the result waits for it and returns the picture. Both raise DeviceError."""
         width, height = view.camera.width, view.camera.height
-        view.camera.require_memory(2 * 4 * _PIXEL_FLOATS)
+        view.camera.require_memory(2 * 4 * PIXEL_FLOATS)
         parts = [(rows, self._start_part(view, rows)) for rows in _stripes(width, height, view.samples)]
 
         def take() -> Image:
-            pieces = [_picture(download.take(), width, rows) for rows, download in parts]
+            pieces = [planes_of(download.take(), width, rows.stop - rows.start) for rows, download in parts]
             colour, alpha, depth = pieces[0] if len(pieces) == 1 else map(np.concatenate, zip(*pieces, strict=True))
             return Image(colour, alpha, depth, view.background)
 
@@ -117,8 +117,8 @@ class FieldOnDevice:
         width, height = view.camera.width, rows.stop - rows.start
         count, tiles = width * height, (-(-width // _TILE), -(-height // _TILE))
         buffers = dict(self._buffers)
-        if self._out.size < 4 * _PIXEL_FLOATS * count:
-            self._out = self._gpu.empty(4 * _PIXEL_FLOATS * count, "a picture")
+        if self._out.size < 4 * PIXEL_FLOATS * count:
+            self._out = self._gpu.empty(4 * PIXEL_FLOATS * count, "a picture")
         record = self._record_of(view, view.camera.part(slice(0, width), rows), tiles[0])
         if view.stop is not None:
             buffers["stops"] = self._gpu.upload(np.minimum(view.stop[rows], 3e38).astype(np.float32), "distances")
@@ -128,7 +128,7 @@ class FieldOnDevice:
         buffers |= {"out": self._out, "view": self._gpu.upload_records(record.reshape(1))}
         bound = self._gpu.bind(self._pipeline(view.lookup), buffers)
         self._gpu.submit([Dispatch(bound, tiles[0] * tiles[1])])
-        return self._gpu.read_later(self._out, np.float32, _PIXEL_FLOATS * count)
+        return self._gpu.read_later(self._out, np.float32, PIXEL_FLOATS * count)
 
     def _pipeline(self, lookup: Lookup) -> Pipeline:
         constants = {"BASIS": self._functions, "TEXELS": self._texels, "SMOOTH": lookup == "trilinear"}
@@ -174,9 +174,8 @@ def _stripes(width: int, height: int, samples: int) -> list[slice]:
     return [slice(first, min(first + rows, height)) for first in range(0, height, rows)]
 
 
-def _picture(found: Singles, width: int, rows: slice) -> tuple[Singles, Singles, Singles]:
-    """Colour (h, W, 3), alpha and depth (h, W) of some rows."""
-    height = rows.stop - rows.start
+def planes_of(found: Singles, width: int, height: int) -> tuple[Singles, Singles, Singles]:
+    """Return colour (H, W, 3), alpha and depth (H, W) of what a shader wrote."""
     count = width * height
     colour, alpha, depth = found[: 3 * count], found[3 * count : 4 * count], found[4 * count :]
     return colour.reshape(height, width, 3), alpha.reshape(height, width), depth.reshape(height, width)

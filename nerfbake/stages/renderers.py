@@ -1,4 +1,7 @@
-"""What renders radiance fields: the kernels of the CPU, or a graphics card. A job chooses once, stages receive it."""
+"""What renders radiance fields and splats: the kernels of the CPU, or a graphics card.
+
+A job chooses once, stages receive it.
+"""
 
 from __future__ import annotations
 
@@ -11,34 +14,38 @@ import numpy.typing as npt
 
 from nerfbake.device.gpu import Gpu
 from nerfbake.errors import DeviceError
-from nerfbake.scene.camera import Camera
+from nerfbake.scene.camera import Camera, require_samples
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.octree import Lookup
 from nerfbake.scene.radiance_field import RadianceField
+from nerfbake.scene.splats import Splats
 from nerfbake.stages._field_on_device import FieldOnDevice, View
+from nerfbake.stages._splats_on_device import SplatsOnDevice
 from nerfbake.stages.field_to_image import render_field, require_options
+from nerfbake.stages.splats_to_image import render_splats
 
+Rendered = RadianceField | Splats
 Tell = Callable[[str], None]
 
 
 class Renderer(Protocol):
-    """Renders fields like render_field(), with the same options."""
+    """Renders fields like render_field() and splats like render_splats(), with the same options."""
 
-    def __call__(self, field: RadianceField, camera: Camera, **options: Any) -> Image:
+    def __call__(self, scene: Rendered, camera: Camera, **options: Any) -> Image:
         """Return the picture of a camera."""
 
-    def each(self, field: RadianceField, cameras: Iterable[Camera], **options: Any) -> Iterator[Image]:
+    def each(self, scene: Rendered, cameras: Iterable[Camera], **options: Any) -> Iterator[Image]:
         """Yield the pictures of several cameras, rendered on demand."""
 
 
 class KernelRenderer:
     """Renders with the kernels of the CPU: the same bytes on every CPU."""
 
-    def __call__(self, field: RadianceField, camera: Camera, **options: Any) -> Image:
-        return render_field(field, camera, **options)
+    def __call__(self, scene: Rendered, camera: Camera, **options: Any) -> Image:
+        return (render_splats if isinstance(scene, Splats) else render_field)(scene, camera, **options)
 
-    def each(self, field: RadianceField, cameras: Iterable[Camera], **options: Any) -> Iterator[Image]:
-        return (render_field(field, camera, **options) for camera in cameras)
+    def each(self, scene: Rendered, cameras: Iterable[Camera], **options: Any) -> Iterator[Image]:
+        return (self(scene, camera, **options) for camera in cameras)
 
 
 KERNELS: Renderer = KernelRenderer()
@@ -47,35 +54,36 @@ KERNELS: Renderer = KernelRenderer()
 class DeviceRenderer:
     """Renders on a device, with float32: pictures differ from those of the CPU by less than 1/255.
 
-    A field stays in the device's memory as long as it exists. What the device cannot do, and everything after an error
-    of the device, is rendered by the CPU. tell: is called with one line then, and for the first field.
+    A scene stays in the device's memory as long as it exists. What the device cannot do, and everything after an error
+    of the device, is rendered by the CPU. tell: is called with one line then, and for the first scene.
     """
 
     def __init__(self, gpu: Gpu, tell: Tell) -> None:
         self._gpu: Gpu | None = gpu
         self._tell, self._named, self._told = tell, False, False
-        self._fields: WeakKeyDictionary[RadianceField, FieldOnDevice | None] = WeakKeyDictionary()
+        self._scenes: WeakKeyDictionary[Rendered, FieldOnDevice | SplatsOnDevice | None] = WeakKeyDictionary()
 
-    def __call__(self, field: RadianceField, camera: Camera, **options: Any) -> Image:
-        return self._start(field, camera, options)()
+    def __call__(self, scene: Rendered, camera: Camera, **options: Any) -> Image:
+        return self._start(scene, camera, options)()
 
-    def each(self, field: RadianceField, cameras: Iterable[Camera], **options: Any) -> Iterator[Image]:
+    def each(self, scene: Rendered, cameras: Iterable[Camera], **options: Any) -> Iterator[Image]:
         """The device renders the next picture while the caller has the last one."""
         waiting: Callable[[], Image] | None = None
         for camera in cameras:
-            started = self._start(field, camera, options)
+            started = self._start(scene, camera, options)
             if waiting is not None:
                 yield waiting()
             waiting = started
         if waiting is not None:
             yield waiting()
 
-    def _start(self, field: RadianceField, camera: Camera, options: dict[str, Any]) -> Callable[[], Image]:
+    def _start(self, scene: Rendered, camera: Camera, options: dict[str, Any]) -> Callable[[], Image]:
         """Start the work of a picture. The result waits for it and returns the picture."""
-        view, placed = _view_of(field, camera, **options), self._placed(field)
+        view = (_view_of_splats if isinstance(scene, Splats) else _view_of)(scene, camera, **options)
+        placed = self._placed(scene)
 
         def on_cpu() -> Image:
-            return render_field(field, camera, **options)
+            return KERNELS(scene, camera, **options)
 
         if placed is None or not placed.suits(view):
             return on_cpu
@@ -94,26 +102,27 @@ class DeviceRenderer:
 
         return finish
 
-    def _placed(self, field: RadianceField) -> FieldOnDevice | None:
-        """The field on the device; None if it does not fit."""
+    def _placed(self, scene: Rendered) -> FieldOnDevice | SplatsOnDevice | None:
+        """The scene on the device; None if it does not fit."""
         if self._gpu is None:
             return None
-        if field not in self._fields:
+        if scene not in self._scenes:
             try:
-                self._fields[field] = FieldOnDevice(self._gpu, field)
+                on_device = SplatsOnDevice if isinstance(scene, Splats) else FieldOnDevice
+                self._scenes[scene] = on_device(self._gpu, scene)
                 if not self._named:
                     self._tell(f"renders on {self._gpu.name}")
                 self._named = True
             except DeviceError as error:
                 self._say(error)
-                self._fields[field] = None
-        return self._fields[field]
+                self._scenes[scene] = None
+        return self._scenes[scene]
 
     def _lose(self, error: DeviceError) -> None:
         """Render everything from now on with the CPU."""
         self._say(error)
         self._gpu = None
-        self._fields.clear()
+        self._scenes.clear()
 
     def _say(self, error: DeviceError) -> None:
         if not self._told:
@@ -133,3 +142,11 @@ def _view_of(
 ) -> View:
     require_options(field, camera, transmittance_cut, lookup, stop, samples)
     return View(camera, background, transmittance_cut, lookup, stop, samples)
+
+
+def _view_of_splats(
+    splats: Splats, camera: Camera, *, background: tuple[float, float, float] | None = WHITE, samples: int = 1
+) -> View:
+    require_samples(samples)
+    splats.require_usable()
+    return View(camera, background, 0.0, "nearest", None, samples)

@@ -76,6 +76,26 @@ def project(splats: SplatArrays, eye: Eye, antialiased: bool) -> tuple[Singles, 
     return sorted_rows, order
 
 
+def order_by_depth(means: Singles, eye: Eye) -> npt.NDArray[np.int32]:
+    """Return the numbers of the splats beyond NEAR, nearest first: in the order of the rows of project()."""
+    keys = np.empty(len(means), np.float32)
+    _measure_depths(means, eye, keys)
+    return sort_by_depth(keys)
+
+
+@on_every_core
+@compiled()
+def _measure_depths(core: int, cores: int, means: Singles, eye: Eye, keys: Singles) -> None:
+    n, turn = len(means), eye.turn
+    for chunk in range(core, (n + _CHUNK - 1) // _CHUNK, cores):
+        for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n)):
+            dx = np.float64(means[i, 0]) - eye.origin[0]
+            dy = np.float64(means[i, 1]) - eye.origin[1]
+            dz = np.float64(means[i, 2]) - eye.origin[2]
+            z = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
+            keys[i] = z if z > NEAR else 0.0
+
+
 @on_every_core
 @compiled()
 def _project(
