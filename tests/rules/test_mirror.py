@@ -26,7 +26,7 @@ ABOUT_SEVERAL = {
     "formats/wire": {"damaged_streams"},
     "formats/wire/usd": {"damage", "writers"},
     "jobs": {"examples", "scenery"},
-    "shaders": {"conformance", "scripts", "three", "together"},
+    "shaders": {"conformance", "scripts", "three", "three_splats", "together"},
 }
 LAYERS = ("kernels", "scene", "stages", "formats")
 
