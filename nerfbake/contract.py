@@ -257,6 +257,9 @@ class PhotographFormat(Protocol):
         view: the first bytes of the file, of a HEIC all.
         """
 
+    def is_panorama(self, view: memoryview, /) -> bool:
+        """Return whether a photograph says that it shows all directions. view: as for place_of()."""
+
     def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:
         """Return the picture as a PNG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit."""
 

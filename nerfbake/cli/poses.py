@@ -23,6 +23,11 @@ from nerfbake.console import Console
     " are more than 150 pictures]",
 )
 @click.option(
+    "--panoramas",
+    is_flag=True,
+    help="Pictures twice as wide as high show all directions, even if they do not say so.",
+)
+@click.option(
     "--seed",
     type=click.IntRange(0, 2**31 - 1),
     default=0,
@@ -43,6 +48,7 @@ def poses(source: str, as_json: bool, console: Console, **options: Any) -> None:
     \b
       nerfbake poses photographs && nerfbake fit photographs scene.npz
       nerfbake poses frames --sequential --json
+      nerfbake poses theta --panoramas
       nerfbake poses photographs --scale IMG_1,IMG_5=1.2m --ground
     """
 

@@ -48,7 +48,7 @@ from nerfbake.io.sources import (
 from nerfbake.io.wrappings import unwrapped
 
 Kind = TypeVar("Kind")
-_HEAD_EXIF = 1 << 18  # bytes of a JPEG in which EXIF data are looked for: they have up to 64 kB
+_HEAD_METADATA = 1 << 18  # bytes of a JPEG in which EXIF data and XMP are looked for: each has up to 64 kB
 
 
 def load(source: str | Path, *kinds: type[Kind], sound: bool = True) -> Kind:
@@ -446,10 +446,20 @@ def load_place(path: str | Path) -> tuple[float, float, float] | None:
     Raises InvalidFile, MemoryLimit.
     """
     with blame(str(path)), memory.scope():
-        with Path(path).open("rb") as file:
-            head = memoryview(file.read(_HEAD_EXIF))
-        pictures = load_photographs()
-        return pictures.place_of(read_file(Path(path)) if pictures.is_heic(head) else head)
+        return load_photographs().place_of(_read_metadata(path))
+
+
+def is_panorama(path: str | Path) -> bool:
+    """Return whether a photograph says that it shows all directions. Raises InvalidFile, MemoryLimit."""
+    with blame(str(path)), memory.scope():
+        return load_photographs().is_panorama(_read_metadata(path))
+
+
+def _read_metadata(path: str | Path) -> memoryview:
+    """Return the first bytes of a photograph, which hold what its camera says of it; of a HEIC all."""
+    with Path(path).open("rb") as file:
+        head = memoryview(file.read(_HEAD_METADATA))
+    return read_file(Path(path)) if load_photographs().is_heic(head) else head
 
 
 def load_thumbnail(path: str | Path, edge: int) -> bytes:

@@ -42,6 +42,8 @@ OPENCV_FROM = 30  # pictures of a camera: fewer do not determine two focal lengt
 _AT_ONCE = 8  # pictures per thread between two reports
 _FILES = ("cameras.bin", "images.bin", "points3D.bin")
 _WARNING = 2  # glog's level above warnings
+# Camera models. With more coefficients, a few pictures of a long lens end with absurd ones, and pycolmap drops these.
+_LENS, _ALL_ROUND = "SIMPLE_RADIAL", "EQUIRECTANGULAR"
 
 
 class Effort(NamedTuple):
@@ -71,6 +73,7 @@ class Request(NamedTuple):
 
     pictures    the folder of the pictures
     groups      names of pictures of the same size; each group has one camera
+    panoramas   the same for pictures of all directions
     work        a new folder for the database and the models
     model       an existing folder for the files of the largest model
     sequential  match each picture only with the next ones, in the order of names
@@ -80,11 +83,17 @@ class Request(NamedTuple):
 
     pictures: str
     groups: list[list[str]]
+    panoramas: list[list[str]]
     work: str
     model: str
     sequential: bool
     seed: int
     threads: int
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all pictures, sorted."""
+        return sorted(name for group in self.groups + self.panoramas for name in group)
 
 
 def main() -> None:
@@ -146,7 +155,7 @@ def _end_with_parent() -> None:
 def _find(pycolmap: Any, request: Request, tell: Callable[..., None]) -> None:
     pycolmap.logging.minloglevel = _WARNING
     pycolmap.set_random_seed(request.seed)
-    names = sorted(name for group in request.groups for name in group)
+    names = request.names
     effort = THOROUGH if len(names) <= FEW else FAST
     work = Path(request.work)
     work.mkdir()
@@ -182,10 +191,10 @@ def _extract(
 ) -> None:
     pycolmap.Database.open(path).close()
     reader = pycolmap.ImageReaderOptions()
-    # With more coefficients, a few pictures of a long lens end with absurd ones, and pycolmap drops these pictures.
-    reader.camera_model = "SIMPLE_RADIAL"
-    for group in request.groups:
-        pycolmap.import_images(path, request.pictures, pycolmap.CameraMode.SINGLE, group, reader)
+    for model, groups in ((_LENS, request.groups), (_ALL_ROUND, request.panoramas)):
+        reader.camera_model = model
+        for group in groups:
+            pycolmap.import_images(path, request.pictures, pycolmap.CameraMode.SINGLE, group, reader)
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size, options.num_threads = effort.edge, request.threads
     options.sift.max_num_features = effort.features
@@ -252,7 +261,7 @@ def _match(
 
 
 def _map(pycolmap: Any, request: Request, path: str, effort: Effort, tell: Callable[..., None]) -> list[Any]:
-    count, placed = sum(map(len, request.groups)), 0
+    count, placed = len(request.names), 0
 
     def place(more: int) -> None:
         nonlocal placed
@@ -283,7 +292,7 @@ def _adjust(pycolmap: Any, model: Any) -> None:
     """Adjust all cameras and points once more, with more coefficients of the lens where enough pictures have it."""
     pictures = Counter(image.camera_id for image in model.images.values() if image.has_pose)
     for number, camera in model.cameras.items():
-        if pictures[number] >= OPENCV_FROM:
+        if camera.model_name == _LENS and pictures[number] >= OPENCV_FROM:
             focal, x, y, k1 = camera.params
             camera.model, camera.params = pycolmap.CameraModelId.OPENCV, [focal, focal, x, y, k1, 0, 0, 0]
     options = pycolmap.BundleAdjustmentOptions()

@@ -20,7 +20,7 @@ from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, UsageError
 from nerfbake.installation import command_for, require_installed
 from nerfbake.io.own_files import require_no_link
-from nerfbake.io.reading import check_photograph, copy_photograph, is_heic, is_picture
+from nerfbake.io.reading import check_photograph, copy_photograph, is_heic, is_panorama, is_picture
 from nerfbake.io.targets import replacing_folder
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.steps import SILENT, Steps
@@ -66,6 +66,7 @@ def find_poses(
     source: AnySource,
     *,
     sequential: bool | None = None,
+    panoramas: bool = False,
     seed: int = 0,
     world: WorldOptions = WorldOptions(),
     force: bool = False,
@@ -77,6 +78,7 @@ def find_poses(
     sparse/0 to `source`. Needs pycolmap, which the extra `poses` installs. Raises NerfbakeError.
 
     sequential  match each picture only with the next ones, in the order of names; None: if there are more than 150
+    panoramas   pictures twice as wide as high show all directions, even if they do not say so
     seed        the random seed; on one machine, the same pictures and seed give the same poses
     world       the unit and the axes; without a scale, the GPS positions of the photographs are used if they fit
     force       replace existing outputs
@@ -91,13 +93,14 @@ def find_poses(
     place, names = _pictures_of(folder, source.name)
     require_installed("pycolmap", "finding poses")
     _require_outputs(folder, force)
-    groups = _same_sizes(steps, place, names)
+    groups, round_ones = _same_sizes(steps, place, names, panoramas)
     if sequential is None:
         sequential = len(names) > MOST_EXHAUSTIVE
     with _model_folder(folder, force) as part:
         pictures = _readable(steps, place, names, part / "pictures")
-        request = {"pictures": str(pictures), "groups": groups, "work": str(part / "work"), "model": str(part)}
-        found = _run(steps, source.name, {**request, "sequential": sequential, "seed": seed, "threads": cores()})
+        request = {"pictures": str(pictures), "groups": groups, "panoramas": round_ones, "model": str(part)}
+        request |= {"work": str(part / "work"), "sequential": sequential, "seed": seed, "threads": cores()}
+        found = _run(steps, source.name, request)
         if pictures != place:
             shutil.rmtree(pictures)
         _require_model(steps, source.name, found["models"], len(names))
@@ -181,19 +184,29 @@ def _require_outputs(folder: Path, force: bool) -> None:
         io.require_no_folder(folder / MODEL, _CONTENTS, force=force)
 
 
-def _same_sizes(steps: Steps, place: Path, names: list[str]) -> list[list[str]]:
-    """Group the names of the pictures by size. Raises InvalidFile for a picture that `fit` could not read."""
-    groups: dict[tuple[int, int], list[str]] = {}
+def _same_sizes(
+    steps: Steps, place: Path, names: list[str], panoramas: bool
+) -> tuple[list[list[str]], list[list[str]]]:
+    """Group the names of the pictures by size: ordinary ones, and panoramas of all directions.
+
+    Raises InvalidFile for a picture that `fit` could not read.
+    """
+    groups: dict[tuple[int, int, bool], list[str]] = {}
     with steps.phase(f"reading {len(names)} pictures"):
         for name in progress.each(names):
-            groups.setdefault(check_photograph(place / name), []).append(name)
-    round_ones = sum(len(group) for (width, height), group in groups.items() if width == 2 * height)
-    if round_ones:
+            width, height = check_photograph(place / name)
+            is_round = width == 2 * height and (panoramas or is_panorama(place / name))
+            groups.setdefault((width, height, is_round), []).append(name)
+    flat, all_round = ([group for key, group in groups.items() if key[2] == wanted] for wanted in (False, True))
+    if all_round:
+        steps.say(f"{place}: {sum(map(len, all_round))} of {len(names)} pictures are panoramas of all directions")
+    wide = sum(len(group) for key, group in groups.items() if key[0] == 2 * key[1] and not key[2])
+    if wide:
         steps.say(
-            f"{place}: warning: {round_ones} of {len(names)} pictures are twice as wide as high; they are used as "
-            "ordinary photographs. Poses of panoramas are not found here, but read from COLMAP, nerfstudio or Metashape"
+            f"{place}: warning: {wide} of {len(names)} pictures are twice as wide as high, but do not say that they "
+            "show all directions; they are used as ordinary photographs, except by `panoramas` of `nerfbake poses`"
         )
-    return list(groups.values())
+    return flat, all_round
 
 
 def _readable(steps: Steps, place: Path, names: list[str], copies: Path) -> Path:

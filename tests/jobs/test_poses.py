@@ -103,14 +103,6 @@ def test_the_points_are_read_with_the_cameras(found: Found) -> None:
         assert len(points) == found.results[0].points
 
 
-def test_panoramas_are_warned_of(tmp_path: Path) -> None:
-    listener = Listener()
-    for i, size in enumerate(((64, 32), (64, 48), (32, 16))):
-        Pillow.new("RGB", size).save(tmp_path / f"{i}.png")
-    poses._same_sizes(listener, tmp_path, ["0.png", "1.png", "2.png"])
-    assert "warning: 2 of 3 pictures are twice as wide as high" in listener.said[0]
-
-
 @pytest.mark.slow
 def test_the_model_moves_with_the_cameras(found: Found, tmp_path: Path) -> None:
     """Both outputs are in metres, and the points are still where the pictures show them."""
@@ -378,8 +370,11 @@ def set_random_seed(seed): raise RuntimeError(str({"PIL", "_sqlite3", "numba", "
 def test_the_process_of_pycolmap_ends_without_an_error(tmp_path: Path) -> None:
     write_room(tmp_path, frames=3)
     names = sorted(path.name for path in tmp_path.iterdir())
-    request = {"pictures": str(tmp_path), "groups": [names], "work": str(tmp_path / "work"), "model": str(tmp_path)}
-    line = json.dumps({**request, "sequential": False, "seed": 0, "threads": 2}).encode() + b"\n"
+    request = {"pictures": str(tmp_path), "groups": [names], "panoramas": [], "model": str(tmp_path)}
+    line = (
+        json.dumps({**request, "work": str(tmp_path / "work"), "sequential": False, "seed": 0, "threads": 2}).encode()
+        + b"\n"
+    )
     command = [sys.executable, "-m", "nerfbake.jobs._pycolmap"]
     with subprocess.Popen(command, cwd=REPOSITORY, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None

@@ -30,7 +30,7 @@ from PIL import Image, UnidentifiedImageError
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.wire import heif
+from nerfbake.formats.wire import heif, xmp
 from nerfbake.formats.wire.png import require_checksums
 from nerfbake.kernels.soundness import MAX_EDGE
 
@@ -360,6 +360,16 @@ _MOST_ALTITUDE = 1e5  # metres
 def _degrees(parts: Any, side: Any) -> float:
     degrees, minutes, seconds = map(float, parts)
     return (-1 if str(side)[:1] in "SW" else 1) * (degrees + minutes / 60 + seconds / 3600)
+
+
+def is_panorama(view: memoryview) -> bool:
+    """Return whether a photograph says that it shows all directions, and is twice as wide as high.
+
+    view: the first bytes of a PNG or a JPEG, or a whole HEIC. Raises InvalidFile.
+    """
+    with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=0) as picture:
+        packet, (width, height) = picture.info.get("xmp"), picture.size
+    return width == 2 * height and isinstance(packet, bytes) and xmp.is_all_round(xmp.properties_of(packet))
 
 
 _PREVIEW_QUALITY = 80  # of JPEG: 20 to 40 kB at 480 x 360
