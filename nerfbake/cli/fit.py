@@ -82,8 +82,7 @@ def _check_pictures(pictures: MeshViews | SplatsViews) -> None:
         allowed = "it with --views"
         without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
     else:
-        allowed = "--frames, --edge and --device without --views"
-        without_effect("frames", "edge", "device", here="with --views", allowed=allowed)
+        without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
 
 
 def training_picture_options(fitted: str, kind: str) -> Callable[[Command], Command]:

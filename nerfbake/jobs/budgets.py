@@ -28,7 +28,7 @@ class Budget:
     cameras   a capture with the views to compare; None: 8 views around the scene, or 8 of those that a
               trained field has
     samples   rays along each edge of a pixel; None: from the cameras, else 1
-    device    what renders fields, as in renderer_on()
+    device    what renders fields and splats, as in renderer_on()
     """
 
     min_psnr: float | None = None

@@ -38,7 +38,7 @@ class ComparedViews:
     size     (W, H) pixels; None: that of the photographs or cameras, 400 x 400 for an orbit
     samples  rays along each edge of a pixel; None: from the cameras, else 1
     world    of trained fields: that of the user's cameras, or that of the network
-    device   what renders fields, as in renderer_on()
+    device   what renders fields and splats, as in renderer_on()
     """
 
     cameras: str | None = None

@@ -1,4 +1,4 @@
-"""The choice of what renders fields, made once by a job, and what there is to choose from."""
+"""The choice of what renders fields and splats, made once by a job, and what there is to choose from."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def missing_library() -> str | None:
 
 
 def renderer_on(device: str = DEVICE, *, steps: Steps = SILENT) -> Renderer:
-    """Return what renders fields on a device. Prints the name of the card when it gets the first field.
+    """Return what renders fields and splats on a device. Prints the name of the card when it gets the first one.
 
     device  auto: a graphics card if there is one, else the CPU; cpu; gpu: a graphics card; or a part of an adapter's
             name
@@ -57,5 +57,5 @@ def renderer_on(device: str = DEVICE, *, steps: Steps = SILENT) -> Renderer:
 
 
 def renderer_with(steps: Steps, gpu: Gpu | None) -> Renderer:
-    """Return what renders fields on an open device, as renderer_on() does; None: the CPU."""
+    """Return what renders fields and splats on an open device, as renderer_on() does; None: the CPU."""
     return KERNELS if gpu is None else DeviceRenderer(gpu, steps.say)

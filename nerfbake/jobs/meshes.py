@@ -88,12 +88,12 @@ class MeshViews:
 
         splats: those that the field was made of, which are sharper than its voxels; None: it was made of other things.
         """
+        shown, render = field if splats is None else splats, renderer_on(self.device, steps=steps)
         if self.views is not None:
             split = read_photographs_of(steps, Source(self.views), self.photographs, field)
-            require_alike(steps, source, field, split.held_out, self.views)
+            require_alike(steps, source, field, split.held_out, self.views, render)
             return split
         with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
-            shown, render = field if splats is None else splats, renderer_on(self.device, steps=steps)
             return render_split(shown, frames=self.frames, edge=self.edge, samples=SAMPLES, framed=field, render=render)
 
 

@@ -175,11 +175,21 @@ def cut_out(steps: Steps, source: Source, split: SplitViews, field: RadianceFiel
             return SplitViews(training, cut_out_field(split.held_out, field))
 
 
-def require_alike(steps: Steps, source: Source, scene: RadianceField | Splats, held_out: Views, views: str) -> None:
-    """Raise InvalidScene if the photographs do not show the scene, and print how near it comes to them."""
+def require_alike(
+    steps: Steps,
+    source: Source,
+    scene: RadianceField | Splats,
+    held_out: Views,
+    views: str,
+    render: Renderer = KERNELS,
+) -> None:
+    """Raise InvalidScene if the photographs do not show the scene, and print how near it comes to them.
+
+    render: renders fields and splats.
+    """
     some = held_out.take(range(0, len(held_out.pictures), -(-len(held_out.pictures) // _CHECKED)))
     with source.blamed(steps, f"comparing with {views}"):
-        found = measure_views(scene, some)
+        found = measure_views(scene, some, render=render)
         psnr, plain = mean_of(found, "psnr"), plain_psnr(some)
         if psnr < plain + _ALIKE:
             what, has = ("the splats", "have") if isinstance(scene, Splats) else ("the field", "has")
@@ -203,7 +213,7 @@ def render_split(
     """Render a scene from all sides: `frames` pictures to fit to, and FRAMES others that are held out.
 
     framed: the scene around which the cameras stand, if it is another one. zoom: of the pictures to fit to, as in
-    scatter_cameras(). render: renders fields.
+    scatter_cameras(). render: renders fields and splats.
     """
     framed = scene if framed is None else framed
     around = scatter_cameras(framed, frames=frames, edge=edge, zoom=zoom)

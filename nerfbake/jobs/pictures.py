@@ -37,7 +37,6 @@ from nerfbake.stages.lattice_to_image import render_lattice
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.octree_to_octree import cut_octree
 from nerfbake.stages.renderers import Renderer
-from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1
 
 # Scenes with surfaces or splats, for which options of fields have no effect.
@@ -187,7 +186,7 @@ def render_views(
 
     lod      level of an octree to render
     choice   the grids of a volume
-    device   what renders a field, as in renderer_on()
+    device   what renders a field or splats, as in renderer_on()
     options  are passed to render_field(); for a lattice to render_lattice(), which renders like the program that
              trained it and ignores the lookup; for a trained field to render_function(), whose default is the
              background that the field was trained with. Splats and triangles take a background only
@@ -252,8 +251,9 @@ def _renderer(
             if options.get(name, default) != default:
                 raise UsageError(f"`{name}` has no effect on {noun}; allowed: with a field")
         background = options.get("background", WHITE)
+        if isinstance(field, Splats):
+            return partial(render.each, field, samples=samples, background=background)
         shape: Any = render_meshes if isinstance(field, Meshes) else render_stage1
-        shape = render_splats if isinstance(field, Splats) else shape
         return partial(map, partial(shape, field, samples=samples, background=background))
     if isinstance(field, FunctionField):
         given: dict[str, Any] = {name: value for name, value in options.items() if name != "lookup"}

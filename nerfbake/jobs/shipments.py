@@ -74,7 +74,7 @@ class ShippedViews:
     views        a capture; None: pictures of the scene, from all sides
     photographs  options for its photographs
     frames       number of rendered pictures; edge: their width and height in pixels
-    device       what renders fields, also when the files are judged, as in renderer_on()
+    device       what renders fields and splats, also when the files are judged, as in renderer_on()
     """
 
     views: str | None = None

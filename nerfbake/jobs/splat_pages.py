@@ -8,7 +8,7 @@ from dataclasses import replace
 from nerfbake import catalog, io
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget, judge_output
-from nerfbake.jobs.devices import DEVICE
+from nerfbake.jobs.devices import DEVICE, renderer_on
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, as_source
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.pages import Colour, read_previews, written_or_opened
@@ -21,7 +21,7 @@ from nerfbake.scene.camera import Cameras
 from nerfbake.scene.origin import lost_origin
 from nerfbake.scene.page import Page
 from nerfbake.scene.splats import UPS, Splats, Up
-from nerfbake.stages.splats_to_image import render_splats
+from nerfbake.stages.renderers import Renderer
 from nerfbake.stages.splats_to_page_splats import build_page_splats
 from nerfbake.stages.views_to_error import measure_views
 
@@ -46,21 +46,21 @@ def view_splats(
     The scene is splats, or any scene with a field, to which splats are fitted as by bake_splats(). Its world is kept,
     so that cameras copied from the page are those of `nerfbake render`. Up is the axis that the file states; else that
     next to the cameras' mean up; without cameras -y. The other arguments are those of view_file(); min_psnr is the
-    lowest allowed mean PSNR of the page against the splats, and device renders the pictures that a field's splats are
-    fitted to. Raises NerfbakeError.
+    lowest allowed mean PSNR of the page against the splats. Raises NerfbakeError.
 
     >>> page = view_splats("a.ply", "splats.html", min_psnr=45)
     >>> page.content.n <= 400
     True
     """
     source = as_source(source)
-    budget = Budget(min_psnr=min_psnr, cameras=cameras)
+    budget = Budget(min_psnr=min_psnr, cameras=cameras, device=device)
     if photographs and cameras is None:
         raise UsageError("`photographs` needs `cameras`, the capture that they are read from")
     with written_or_opened(target) as file:
         file.require("Page")
         budget.require(file)
-        splats = _read(steps, source, functions, device)
+        render = renderer_on(device, steps=steps)
+        splats = _read(steps, source, functions, render)
         views, first = page_views(steps, splats, cameras, name=source.name)
         if splats.up is None and cameras is not None:
             splats = replace(splats, up=_up_of(views))
@@ -69,10 +69,10 @@ def view_splats(
             views, previews = read_previews(steps, str(cameras), views)
         with source.blamed(steps, "rounding the splats"):
             content = build_page_splats(splats)
-            decibels = orbit_psnr(splats, content.restored(), _FRAMES, _EDGE)
+            decibels = orbit_psnr(splats, content.restored(), _FRAMES, _EDGE, render)
         steps.say(f"{source.name}: rounded for the page, {decibels:.2f} dB against {_FRAMES} pictures of the splats")
         with source.blamed(steps, "rendering the cover"):
-            cover = render_splats(splats, first, background=background)
+            cover = render(splats, first, background=background)
         named = catalog.scene_name(source.name) if title is None else title
         turns = cameras is None
         made = Page(content, None, views, cover, named, turns=turns, background=background, photographs=previews)
@@ -83,7 +83,7 @@ def view_splats(
     return made
 
 
-def _read(steps: Steps, source: Source, functions: FunctionVoxels, device: str) -> Splats:
+def _read(steps: Steps, source: Source, functions: FunctionVoxels, render: Renderer) -> Splats:
     """Return the splats of a source, or splats fitted to its field."""
     reading = Reading(steps, source, functions=functions)
     reading.require()
@@ -96,11 +96,11 @@ def _read(steps: Steps, source: Source, functions: FunctionVoxels, device: str) 
         return splats
     reading.use_inner_cube()
     field = reading.field(visible="nothing to fit splats to")
-    pictures = SplatsViews(device=device)
-    split = pictures.split(steps, source, field)
+    pictures = SplatsViews()
+    split = pictures.split(steps, source, field, render)
     splats = splats_of_field(steps, source, field, split, pictures, SplatsOptions(), threading.Event())
     with source.blamed(steps, "measuring the splats"):
-        views = measure_views(splats, split.held_out)
+        views = measure_views(splats, split.held_out, render=render)
     psnr = sum(view.psnr for view in views) / len(views)
     steps.say(f"{source.name}: {splats}, {psnr:.2f} dB on {split.held_out}")
     return replace(splats, up="z")  # as in all scenes but splats

@@ -46,6 +46,7 @@ from nerfbake.scene.splat_levels import SplatLevels
 from nerfbake.scene.splats import Splats, Up
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_to_splats import COUNT, build_splats
+from nerfbake.stages.renderers import Renderer
 from nerfbake.stages.scene_to_cameras import orbit_cameras, without_strays
 from nerfbake.stages.splats_to_splats import merge_splats
 from nerfbake.stages.views_to_error import ViewError, measure_views
@@ -63,7 +64,7 @@ class SplatsViews:
     views        a capture; None: pictures of IN, from all sides
     photographs  options for its photographs
     frames       number of rendered pictures; edge: their width and height in pixels
-    device       what renders pictures of a field, as in renderer_on()
+    device       what renders fields and splats, as in renderer_on()
     """
 
     views: str | None = None
@@ -72,27 +73,27 @@ class SplatsViews:
     edge: int = EDGE
     device: str = DEVICE
 
-    def split(self, steps: Steps, source: Source, field: RadianceField) -> SplitViews:
+    def split(self, steps: Steps, source: Source, field: RadianceField, render: Renderer) -> SplitViews:
         """Return the training views and the held-out views. Raises NerfbakeError if they show something else."""
         if self.views is not None:
             split = read_photographs_of(steps, Source(self.views), self.photographs, field)
-            require_alike(steps, source, field, split.held_out, self.views)
+            require_alike(steps, source, field, split.held_out, self.views, render)
             return split
         with source.blamed(steps, f"rendering pictures of {source.name}"):
-            render, framed = renderer_on(self.device, steps=steps), without_strays(field)
+            framed = without_strays(field)
             return render_split(field, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM, render=render)
 
-    def split_of(self, steps: Steps, source: Source, splats: Splats, *, fitted: bool) -> SplitViews:
+    def split_of(self, steps: Steps, source: Source, splats: Splats, render: Renderer, *, fitted: bool) -> SplitViews:
         """Return the same of splats. fitted: without it, the training views are not needed, and may be any others."""
         if self.views is not None:
             split = read_photographs(steps, Source(self.views), self.photographs).moved(splats.origin)
-            require_alike(steps, source, splats, split.held_out, self.views)
+            require_alike(steps, source, splats, split.held_out, self.views, render)
             return split
         with source.blamed(steps, f"rendering pictures of {source.name}"):
             if fitted:
-                return render_split(splats, frames=self.frames, edge=self.edge, zoom=_ZOOM)
+                return render_split(splats, frames=self.frames, edge=self.edge, zoom=_ZOOM, render=render)
             around = orbit_cameras(splats, frames=FRAMES, width=self.edge, height=self.edge)
-            held_out = picture_views(splats, around, 1)
+            held_out = picture_views(splats, around, 1, render)
             return SplitViews(held_out, held_out)
 
 
@@ -199,7 +200,8 @@ def bake_splats(
     require_places(options.place, len(sources))
     keeps_up = folder is None and form.load_splat_module().KEEPS_UP
     levels = 0 if folder is None else options.levels or LEVELS
-    made = _make(steps, sources, pictures, options, functions, up, choice, keeps_up=keeps_up, levels=levels)
+    render = renderer_on(pictures.device, steps=steps)
+    made = _make(steps, sources, pictures, options, functions, up, choice, render, keeps_up=keeps_up, levels=levels)
     splats = made.levels[0]
     place, scene = (target, splats) if folder is None else (folder, SplatLevels(made.levels))
     if made.is_interrupted:
@@ -209,7 +211,8 @@ def bake_splats(
     reported = reporting(lambda: report(found) if report is not None else None)
     with reported, place.writing(steps, scene, **written_as) as written:
         with kept_as_partial(steps, place, written):
-            each_level, content = _measured(steps, target, written, made.split.held_out, scene, made.up, written_as)
+            held_out = made.split.held_out
+            each_level, content = _measured(steps, target, written, held_out, scene, made.up, written_as, render)
         qualities = tuple(map(LevelQuality.of, made.levels, each_level)) if folder is not None else ()
         worked, passed = made.seconds
         found = SplatsResult(
@@ -250,6 +253,7 @@ def _make(
     functions: FunctionVoxels,
     up: Up | None,
     choice: SplatChoice,
+    render: Renderer,
     *,
     keeps_up: bool,
     levels: int,
@@ -271,7 +275,7 @@ def _make(
         reading.use_inner_cube()
         field = reading.field(visible="nothing to fit splats to")
         del reading
-        split, against = pictures.split(steps, first, field), ""
+        split, against = pictures.split(steps, first, field, render), ""
         with interrupts() as interrupted:
             splats = splats_of_field(steps, first, field, split, pictures, options, interrupted)
             del field
@@ -284,7 +288,7 @@ def _make(
         count = options.splats or original.n
         merged = count < original.n
         fitted = options.epochs > 0 and (merged or levels > 1 or pictures.views is not None)
-        split = pictures.split_of(steps, first, original, fitted=fitted)
+        split = pictures.split_of(steps, first, original, render, fitted=fitted)
         against = "" if pictures.views else f" of {first.name}" if len(sources) == 1 else " of the joined splats"
         with interrupts() as interrupted:
             with first.blamed(steps, "merging splats"):
@@ -383,6 +387,7 @@ def _measured(
     scene: Splats | SplatLevels,
     up: Up | None,
     written_as: dict[str, Any],
+    render: Renderer,
 ) -> tuple[list[tuple[ViewError, ...]], str]:
     """Read what was written, and measure each of its levels on the held-out views.
 
@@ -397,4 +402,4 @@ def _measured(
                 found = io.load_folder(written.path, SplatLevels)
             levels = found.levels
         as_viewed = (level if up is None else level.without_up(up) for level in levels)
-        return [measure_views(level, held_out) for level in as_viewed], str(found)
+        return [measure_views(level, held_out, render=render) for level in as_viewed], str(found)

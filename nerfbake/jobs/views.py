@@ -23,7 +23,6 @@ from nerfbake.stages.pictures_to_views import build_views
 from nerfbake.stages.renderers import KERNELS, Renderer
 from nerfbake.stages.scene_to_cameras import orbit_cameras
 from nerfbake.stages.scenes_to_comparison import compare_scenes
-from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1
 
 _OWN_EDGE = 128  # pixels along the longer edge of the pictures of a trained field, which take long
@@ -106,10 +105,13 @@ def in_one_world(steps: Steps, scenes: Sequence[tuple[str, Any]]) -> list[Any]:
     return moved
 
 
-def orbit_psnr(a: Any, b: Any, frames: int, edge: int) -> float:
-    """Return the mean PSNR in dB between pictures of two scenes, `edge` pixels wide and high, on an orbit around a."""
+def orbit_psnr(a: Any, b: Any, frames: int, edge: int, render: Renderer = KERNELS) -> float:
+    """Return the mean PSNR in dB between pictures of two scenes, `edge` pixels wide and high, on an orbit around a.
+
+    render: renders fields and splats.
+    """
     views = orbit_cameras(a, frames=frames, width=edge, height=edge)
-    return float(compare_scenes(a, b, views, keep_pictures=False).means["a_b"]["psnr"])
+    return float(compare_scenes(a, b, views, keep_pictures=False, render=render).means["a_b"]["psnr"])
 
 
 def picture_views(
@@ -117,19 +119,16 @@ def picture_views(
 ) -> Views:
     """Render pictures of a scene, with alpha, to which something else is fitted, or with which it is compared.
 
-    render: renders fields.
+    render: renders fields and splats.
     """
 
     def pictures() -> Iterator[Any]:
         views = progress.each(cameras.cameras)
-        if isinstance(scene, RadianceField):
-            yield from (image.pixels for image in render.each(scene, views, background=None, samples=samples))
-            return
-        for camera in views:
-            if isinstance(scene, Splats):
-                yield render_splats(scene, camera, background=None).pixels
-            else:
-                yield render_stage1(scene, camera, background=None, samples=samples).pixels
+        if isinstance(scene, Stage1):
+            images = (render_stage1(scene, camera, background=None, samples=samples) for camera in views)
+        else:
+            images = render.each(scene, views, background=None, samples=samples)
+        yield from (image.pixels for image in images)
 
     return build_views(cameras, pictures())
 

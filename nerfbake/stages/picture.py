@@ -19,7 +19,6 @@ from nerfbake.stages.lattice_to_image import render_lattice
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.renderers import KERNELS, Renderer
 from nerfbake.stages.scene_to_field import FieldSource, build_field
-from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1, surfaces
 
 Visible = RadianceField | LatticeField | FunctionField | Meshes | Splats | Stage1 | BakedAtlas
@@ -36,7 +35,7 @@ def renderable(scene: Visible | FieldSource) -> Visible:
 def render_picture(scene: Visible, camera: Camera, *, samples: int = 1, render: Renderer = KERNELS) -> Image:
     """Render the scene over white, with samples x samples rays per pixel (splats: see render_splats()).
 
-    render: renders fields.
+    render: renders fields and splats.
     """
     if isinstance(scene, Meshes):
         return render_meshes(scene, camera, samples=samples)
@@ -46,8 +45,6 @@ def render_picture(scene: Visible, camera: Camera, *, samples: int = 1, render: 
         return render_lattice(scene, camera, samples=samples)
     if isinstance(scene, FunctionField):
         return render_function(scene, camera, samples=samples)
-    if isinstance(scene, Splats):
-        return render_splats(scene, camera, samples=samples)
     return render(scene, camera, samples=samples)
 
 

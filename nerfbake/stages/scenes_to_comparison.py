@@ -37,7 +37,8 @@ def compare_scenes(
 
     truth: a photograph for each camera. keep_pictures: False keeps only one view's pictures in memory at a time; the
     comparison then has no pictures to draw. pictures_of_a: those of render_picture() with these cameras and their
-    samples, if a is compared with several scenes; None: they are rendered. render: renders fields.
+    samples, if a is compared with several scenes; None: they are rendered. render: renders fields and
+    splats.
 
     The number of rays per pixel is that of the cameras. Fields are built for scenes of other types; pass a field that
     you have already built to save this time. Errors are on sRGB in 0..1, before rounding to 8 bits. Raises InvalidScene

@@ -20,7 +20,6 @@ from nerfbake.scene.stage1 import Stage1
 from nerfbake.scene.views import Views
 from nerfbake.stages.meshes_to_image import render_meshes
 from nerfbake.stages.renderers import KERNELS, Renderer
-from nerfbake.stages.splats_to_image import render_splats
 from nerfbake.stages.stage1_to_image import render_stage1
 
 Measured = RadianceField | Meshes | Stage1 | Splats
@@ -67,7 +66,7 @@ def measure_views(
     """Render every view over its background, and measure it against its photograph.
 
     Vertex colours of meshes are shown as they are, without light. samples: as in render_field(); no effect on splats.
-    render: renders fields.
+    render: renders fields and splats.
     Errors are on sRGB in 0..1, before rounding to 8 bits, as in compare_scenes(). Raises InvalidScene for lenses that
     do not cover their pictures, MemoryLimit.
 
@@ -105,8 +104,6 @@ def _error(views: Views, i: int, made: Floats) -> ViewError:
 def _renderer(scene: Measured, render: Renderer) -> Callable[..., Image]:
     if isinstance(scene, Meshes):
         return partial(render_meshes, scene, lit=False)
-    if isinstance(scene, Splats):
-        return partial(render_splats, scene)
     return partial(render_stage1, scene) if isinstance(scene, Stage1) else partial(render, scene)
 
 
