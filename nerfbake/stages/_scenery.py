@@ -39,8 +39,8 @@ def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> 
     Fog fills all cells that three views see (all views, if there are fewer), except close to a camera. If the sparse
     points of a picture are about equally far, it fills what this picture alone sees at their distance, and nothing
     before them. Where depth maps show a surface, cells are denser, and there are none where pictures see through. The
-    wall is at the end of the outermost shell, where one view sees it. box: the inner cube; None: around the point that
-    the cameras look at. Raises InvalidScene, MemoryLimit.
+    wall is at the end of the outermost shell, on all sides. box: the inner cube; None: around the point that the
+    cameras look at. Raises InvalidScene, MemoryLimit.
     """
     box = inner_cube_of(views.cameras) if box is None else box
     with memory.scope():
@@ -123,10 +123,9 @@ def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, float | Non
         solid, surface = (solid | votes.surface).reshape(R, R, R), votes.surface.reshape(R, R, R)
         if shell:
             solid[R // 4 : R - R // 4, R // 4 : R - R // 4, R // 4 : R - R // 4] = False
-        if shell == SHELLS - 1:  # the wall also shows what only one view sees
-            inside = (slice(1, -1),) * 3
-            wall = (counts >= 1).reshape(R, R, R)
-            wall[inside] = solid[inside]
+        if shell == SHELLS - 1:  # the wall is closed, so that no view between or beside the others looks out
+            wall = np.ones((R, R, R), bool)
+            wall[1:-1, 1:-1, 1:-1] = solid[1:-1, 1:-1, 1:-1]
             solid = wall
         found.append(solid)
         surfaces.append(surface)

@@ -23,6 +23,7 @@ from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
 from nerfbake.stages._fit_devices import Look, Visit, fit_device
 from nerfbake.stages._fit_state import GAINS, FitState, coefficients
 from nerfbake.stages._scenery import close_wall, focus_distance, resolved, start_scenery, wall_of
+from nerfbake.stages._scenery_wall import settle_wall
 from nerfbake.stages.views_to_hull import find_solid, require_views
 
 if TYPE_CHECKING:
@@ -262,7 +263,9 @@ def _finish(state: FitState, views: Views) -> None:
     """Prune the cells after the last stage, and round their values, so that files are smaller."""
     state.read_back()
     bricks, covered = state.cells.bricks, state.cells.means[:, 1]
-    if not views.scenery:
+    if views.scenery:
+        settle_wall(state.cells, views, state.box, state.gains)
+    else:
         keep = _visible(state, state.schedule[-1], views)
         state.cells = cells_of_plan(
             bricks, plan_of_kept(bricks.top, bricks.slots, bricks.first, keep), state.box, state.cells.B
