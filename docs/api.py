@@ -41,7 +41,8 @@ GROUPS: dict[str, tuple[ModuleType, str]] = {
     ),
     "Cameras and photographs": (
         nerfbake,
-        "scene.camera scene.views scene.held_out stages.scene_to_cameras stages.shapes_to_image",
+        "scene.camera scene.views scene.held_out stages.scene_to_cameras stages.shapes_to_image"
+        " stages.objects_to_image",
     ),
     "Fitting": (
         nerfbake,

@@ -64,6 +64,8 @@ from .stages.mesh_to_mesh import simplify_surface as simplify_surface
 from .stages.meshes_to_image import render_meshes as render_meshes
 from .stages.n3tree_to_octree import build_octree as build_octree
 from .stages.n3tree_to_page_shells import build_page_shells as build_page_shells
+from .stages.objects_to_image import orbit_object as orbit_object
+from .stages.objects_to_image import render_object as render_object
 from .stages.octree_to_brick_field import build_bricks as build_bricks
 from .stages.octree_to_compression import compress_octree as compress_octree
 from .stages.octree_to_compression import quantise_octree as quantise_octree

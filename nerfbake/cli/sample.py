@@ -74,6 +74,13 @@ def nerf2mesh(target: str, force: bool, console: Console, **options: Any) -> Non
     "--edge", type=click.IntRange(16, 4096), default=200, show_default=True, help="Width and height in pixels."
 )
 @click.option("--room", is_flag=True, help="Photograph a table in a textured room, with scenery on all sides.")
+@click.option(
+    "--object",
+    type=click.Choice(["shapes", "struts", "bricks"]),
+    default="shapes",
+    show_default=True,
+    help="Photograph shiny shapes, a crane of thin rods, or a glossy house of bricks with thousands of studs.",
+)
 @seed
 @click.option("--force", is_flag=True, help="Replace files in OUT_DIR that have the same names.")
 @max_memory
@@ -81,12 +88,14 @@ def nerf2mesh(target: str, force: bool, console: Console, **options: Any) -> Non
 def capture(target: str, console: Console, **options: Any) -> None:
     """Write synthetic photographs with cameras.
 
-    Writes OUT_DIR with pictures of shiny shapes from all sides, and their cameras in transforms.json. With --room, the
-    pictures show a table in a room, as photographs from a phone do.
+    Writes OUT_DIR with pictures of shiny shapes from all sides, and their cameras in transforms.json. The other objects
+    are seen from above, and are harder to fit. With --room, the pictures show a table in a room, as photographs from a
+    phone do.
 
     \b
       nerfbake sample capture photographs && nerfbake info photographs
       nerfbake sample capture --room room && nerfbake fit room room.npz
+      nerfbake sample capture --object bricks --frames 100 --edge 400 house
     """
 
     from nerfbake.jobs.samples import write_sample_capture

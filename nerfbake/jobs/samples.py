@@ -14,6 +14,7 @@ from nerfbake.scene.image import Image
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.stage1 import Stage1
 from nerfbake.stages.field_to_image import render_field
+from nerfbake.stages.objects_to_image import OBJECTS, orbit_object, render_object
 from nerfbake.stages.scene_to_cameras import scatter_cameras
 from nerfbake.stages.scene_to_field import build_field
 from nerfbake.stages.shapes_to_image import orbit_room, render_room
@@ -59,6 +60,7 @@ def write_sample_stage1(
 
 
 CAMERAS, ZOOM = "transforms.json", 1.2
+SHAPES = "shapes"  # the scene of sample_n3tree()
 SAMPLES = 2  # rays along each edge of a pixel: the pixels of photographs are averages
 
 
@@ -68,6 +70,7 @@ def write_sample_capture(
     frames: int = 24,
     edge: int = 200,
     room: bool = False,
+    object: str = SHAPES,
     seed: int = 0,
     force: bool = False,
     steps: Steps = SILENT,
@@ -75,8 +78,9 @@ def write_sample_capture(
     """Write photographs of a synthetic scene and return their cameras. This is `nerfbake sample capture`.
 
     Reads nothing. Writes NNNN.png, edge x edge pixels of 2 x 2 rays each, and transforms.json to `folder`: shiny shapes
-    from all sides, with alpha. room: instead a table in a textured room from an arc around it, without alpha.
-    seed: as in sample_n3tree(), or as in render_room(). force: replace existing files. Raises NerfbakeError.
+    from all sides, with alpha. object: instead an object of render_object(). room: instead a table in a textured room
+    from an arc around it, without alpha. seed: as in sample_n3tree(), orbit_object() or render_room(). force: replace
+    existing files. Raises NerfbakeError.
 
     >>> print(write_sample_capture("capture", frames=3, edge=32))
     3 cameras
@@ -86,7 +90,16 @@ def write_sample_capture(
     folder = Path(folder)
     paths = [folder / f"{i:04d}.png" for i in range(frames)]
     io.require_room([str(path) for path in (*paths, folder / CAMERAS)], force=force)
-    cameras, render = _room(frames, edge, seed) if room else _shapes(frames, edge, seed, steps)
+    if object not in (SHAPES, *OBJECTS):
+        raise UsageError(f"`object` is {object!r}; allowed: {', '.join((SHAPES, *OBJECTS))}")
+    if room and object != SHAPES:
+        raise UsageError(f"`object` {object} is not in the room; allowed: one of `object` and `room`")
+    if room:
+        cameras, render = _room(frames, edge, seed)
+    elif object == SHAPES:
+        cameras, render = _shapes(frames, edge, seed, steps)
+    else:
+        cameras, render = _object(object, frames, edge, seed)
     for path, camera in zip(paths, cameras.cameras, strict=True):
         with steps.phase(f"rendering {camera.name}"):
             image = render(camera)
@@ -106,3 +119,8 @@ def _shapes(frames: int, edge: int, seed: int, steps: Steps) -> tuple[Cameras, C
 def _room(frames: int, edge: int, seed: int) -> tuple[Cameras, Callable[[Camera], Image]]:
     cameras = orbit_room(frames=frames, width=edge, height=edge).chosen(samples=SAMPLES)
     return cameras, lambda camera: render_room(camera, seed=seed, samples=SAMPLES)
+
+
+def _object(name: str, frames: int, edge: int, seed: int) -> tuple[Cameras, Callable[[Camera], Image]]:
+    cameras = orbit_object(frames=frames, edge=edge, seed=seed).chosen(samples=SAMPLES)
+    return cameras, lambda camera: render_object(name, camera, samples=SAMPLES)

@@ -14,8 +14,10 @@ from nerfbake import (
     Stage1,
     build_field,
     load,
+    orbit_object,
     orbit_room,
     render_field,
+    render_object,
     render_room,
     sample_n3tree,
 )
@@ -72,6 +74,22 @@ def test_photographs_of_the_room_are_opaque_and_show_it_through_their_cameras(tm
     first, again = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in "ab")
     assert len(first) == 4
     assert first == again
+
+
+@pytest.mark.parametrize("name", ["struts", "bricks"])
+def test_photographs_of_an_object_are_transparent_and_show_it_through_their_cameras(name: str, tmp_path: Path) -> None:
+    write_sample_capture(tmp_path, frames=2, edge=24, object=name, seed=4)
+    cameras = load(tmp_path, Cameras)
+    assert cameras.samples == 2
+    for camera, made in zip(cameras.cameras, orbit_object(frames=2, edge=24, seed=4).cameras, strict=True):
+        np.testing.assert_allclose(camera.pose, made.pose, atol=1e-12)
+        image = load(tmp_path / f"{camera.name}.png", Image)
+        assert np.abs(image.alpha - render_object(name, camera, samples=2).alpha).max() <= 0.5 / 255 + 1e-6
+
+
+def test_an_object_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="`object` is 'crane'; allowed: shapes, struts, bricks"):
+        write_sample_capture(tmp_path / "a", object="crane")
 
 
 @pytest.mark.long  # test_scenery.py of stages fits a smaller room
