@@ -34,8 +34,7 @@ from nerfbake.jobs.files import Source, Target
 if TYPE_CHECKING:
     from nerfbake.jobs.fit_options import FitOptions
     from nerfbake.jobs.fits import FitResult
-    from nerfbake.jobs.meshes import MeshViews
-    from nerfbake.jobs.splats import SplatsViews
+    from nerfbake.jobs.fitted_pictures import FittedPictures
 
 
 class FitBackground(Background):
@@ -77,7 +76,7 @@ photograph_options = bundled(
 )
 
 
-def _check_pictures(pictures: MeshViews | SplatsViews) -> None:
+def _check_pictures(pictures: FittedPictures) -> None:
     if pictures.views is None:
         allowed = "it with --views"
         without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)

@@ -53,7 +53,7 @@ class TriangleCounts(ParamType[tuple[int, ...]]):
 @source_argument
 @click.argument("target", metavar="OUT", type=MeshOutput())
 @click.option("--force", is_flag=True, help="Replace OUT, and the files beside it, if they exist.")
-@training_picture_options("Photographs for the texture", "jobs.meshes.MeshViews")
+@training_picture_options("Photographs for the texture", "jobs.mesh_options.MeshViews")
 @click.option(
     "--triangles",
     type=TriangleCounts(),
@@ -146,7 +146,8 @@ def mesh(
       nerfbake mesh chair.npz toy.obj --triangles 20k --texture 1024 --min-psnr 28
     """
 
-    from nerfbake.jobs.meshes import MeshFile, MeshOptions, bake_mesh
+    from nerfbake.jobs.mesh_options import MeshFile, MeshOptions
+    from nerfbake.jobs.meshes import bake_mesh
 
     if lods is not None:
         without_effect("triangles", here="with --lods, which has its own", allowed="one of them")

@@ -17,7 +17,8 @@ from nerfbake.jobs.devices import renderer_with
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target, read_back_as
 from nerfbake.jobs.fit_options import FitOptions
 from nerfbake.jobs.fit_state import CheckpointWriter, CurvePoint, FitRun, interrupts, kept_as_partial, write_partial
-from nerfbake.jobs.meshes import MeshFile, build_mesh, require_mesh
+from nerfbake.jobs.mesh_options import MeshFile
+from nerfbake.jobs.meshes import build_mesh, require_mesh
 from nerfbake.jobs.photographs import (
     MeasuredViews,
     PhotographOptions,

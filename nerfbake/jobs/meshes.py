@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from nerfbake import catalog, io, progress
+from nerfbake import io, progress
 from nerfbake.errors import UsageError
-from nerfbake.jobs.budgets import EDGE, FRAMES, Budget, reporting
-from nerfbake.jobs.devices import DEVICE, renderer_on
+from nerfbake.jobs.budgets import FRAMES, Budget, reporting
 from nerfbake.jobs.files import (
     AnySource,
     AnyTarget,
@@ -19,21 +18,13 @@ from nerfbake.jobs.files import (
     Target,
     as_source,
     as_target,
-    axis_option,
     read_back,
     read_back_as,
 )
 from nerfbake.jobs.fit_state import Clock
 from nerfbake.jobs.function_voxels import FunctionVoxels
-from nerfbake.jobs.photographs import (
-    MeasuredViews,
-    PhotographOptions,
-    SplitViews,
-    mean_of,
-    read_photographs_of,
-    render_split,
-    require_alike,
-)
+from nerfbake.jobs.mesh_options import SAMPLES, MeshFile, MeshOptions, MeshViews
+from nerfbake.jobs.photographs import MeasuredViews, mean_of
 from nerfbake.jobs.readings import FIELDS, Reading, upright_without
 from nerfbake.jobs.steps import SILENT, Steps
 from nerfbake.jobs.views import picture_views
@@ -49,8 +40,6 @@ from nerfbake.stages.views_to_error import ViewError, measure_silhouettes, measu
 if TYPE_CHECKING:
     from nerfbake.stages.views_and_light_to_materials import Material
 
-TRIANGLES, TEXTURE = 50_000, 2048
-SAMPLES = 2  # rays along each edge of a pixel: the pixels of photographs are averages, too
 _RIM_ROUNDS = 2  # of moving the vertices to the rims of the silhouettes
 # Turns of fitting the texture and moving the vertices to where it has the colours of the views, and rounds of moving in
 # each turn. The chair fitted to 88 of its training photographs and measured on the other 12: 30.8 dB with one round a
@@ -59,91 +48,6 @@ _TURNS, _MOVES = 2, 4
 _TURN_TEXTURE = 1024  # most texels along an edge in these turns: move_vertices() reduces pictures to about 400 pixels
 _LEAST_TEXTURE = 64  # texels along an edge, of a coarse level of detail
 _COUNTED = 0.03  # share by which the number of triangles may differ from the one that was asked for without a line
-
-Image = Literal["png", "jpeg", "webp"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeshViews:
-    """The pictures that a mesh is textured from.
-
-    views        a capture; None: pictures of the scene, from all sides
-    frames       number of these pictures; edge: their width and height in pixels; device: as in renderer_on()
-    photographs  options for the photographs of the capture
-    """
-
-    views: str | None = None
-    frames: int = 100
-    edge: int = EDGE
-    device: str = DEVICE
-    photographs: PhotographOptions = PhotographOptions()
-
-    @property
-    def inputs(self) -> tuple[str | None, ...]:
-        """The paths that are read."""
-        return (self.views, self.photographs.masks, self.photographs.test)
-
-    def split(self, steps: Steps, source: Source, field: RadianceField, splats: Splats | None) -> SplitViews:
-        """Return the views to fit to and the held-out views. Raises NerfbakeError if they show something else.
-
-        splats: those that the field was made of, which are sharper than its voxels; None: it was made of other things.
-        """
-        shown, render = field if splats is None else splats, renderer_on(self.device, steps=steps)
-        if self.views is not None:
-            split = read_photographs_of(steps, Source(self.views), self.photographs, field)
-            require_alike(steps, source, field, split.held_out, self.views, render)
-            return split
-        with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
-            return render_split(shown, frames=self.frames, edge=self.edge, samples=SAMPLES, framed=field, render=render)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeshOptions:
-    """Options of a mesh.
-
-    triangles  the largest number of triangles; several numbers, the largest first, make levels of detail
-    texture    texels along an edge of the texture; a coarser level has half as many
-    box        x0, y0, z0, x1, y1, z1 of a box in world coordinates; what is outside is left out; None: no box
-    largest    keep the largest connected part alone
-    seed       seed of the highlights' MLP: the same seed gives the same bytes
-    """
-
-    triangles: tuple[int, ...] = (TRIANGLES,)
-    texture: int = TEXTURE
-    box: tuple[float, float, float, float, float, float] | None = None
-    largest: bool = False
-    seed: int = 0
-
-    def require(self) -> None:
-        """Raise UsageError for levels of detail that do not become coarser. Call it before doing any work."""
-        pairs = zip(self.triangles, self.triangles[1:], strict=False)
-        if not self.triangles or min(self.triangles) < 4 or any(finer <= coarser for finer, coarser in pairs):
-            found = ", ".join(f"{count:,}" for count in self.triangles) or "none"
-            raise UsageError(f"`triangles` are {found}; allowed: 4 or more, each level fewer than the one before")
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeshFile:
-    """Options of the file.
-
-    in_up  for a .glb: the up axis of the field, which the nodes rotate to y, glTF's; None: z
-    lit    for a .glb: a rough material that is lit, with normals; False: the colours are shown as they are
-    image  coding of the texture; None: JPEG, or PNG in a folder
-    environment  for a .glb: a map of the light of the photographs, from which materials are estimated
-    """
-
-    in_up: Literal["y", "z"] | None = None
-    lit: bool = False
-    image: Image | None = None
-    environment: str | None = None
-
-    def options(self, form: catalog.Format) -> dict[str, Any]:
-        """Return the options of the format. Those that are given count even if the format does not take them."""
-        default = {"image": "jpeg", "quantised": True, "reversible": True, "up": "z"}
-        given = {"lit": self.lit or self.environment is not None or None, "image": self.image}
-        fitting = {name: value for name, value in default.items() if form.choices(name)}
-        fitting |= axis_option(form, self.in_up)
-        return fitting | {name: value for name, value in given.items() if value is not None}
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,13 @@ from nerfbake.installation import is_installed
 from nerfbake.jobs import budgets
 from nerfbake.jobs.compressions import compress_file
 from nerfbake.jobs.conversions import convert_file, convert_splats
-from nerfbake.jobs.devices import DEVICE, renderer_on
+from nerfbake.jobs.devices import renderer_on
 from nerfbake.jobs.files import AnySource, FolderTarget, Source, as_source
 from nerfbake.jobs.fit_state import Clock
+from nerfbake.jobs.fitted_pictures import FittedPictures
 from nerfbake.jobs.function_voxels import FunctionVoxels
-from nerfbake.jobs.meshes import TEXTURE, TRIANGLES, MeshOptions, MeshViews, bake_mesh
+from nerfbake.jobs.mesh_options import TEXTURE, TRIANGLES, MeshOptions, MeshViews
+from nerfbake.jobs.meshes import bake_mesh
 from nerfbake.jobs.octrees import bake_octree, bake_volume
 from nerfbake.jobs.pages import field_of_page, view_file
 from nerfbake.jobs.photographs import PhotographOptions
@@ -68,25 +70,11 @@ _PACKAGES = {"pxr": "usd-core"}  # the package of a library that reads files for
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShippedViews:
-    """The pictures that meshes are textured from, and that splats are fitted to.
+class ShippedViews(FittedPictures):
+    """The pictures that meshes and splats are fitted to. The arguments are those of FittedPictures.
 
-    views        a capture; None: pictures of the scene, from all sides
-    photographs  options for its photographs
-    frames       number of rendered pictures; edge: their width and height in pixels
-    device       what renders fields and splats, also when the files are judged, as in renderer_on()
+    device also renders the pictures on which the files are judged.
     """
-
-    views: str | None = None
-    photographs: PhotographOptions = PhotographOptions()
-    frames: int = 100
-    edge: int = budgets.EDGE
-    device: str = DEVICE
-
-    @property
-    def inputs(self) -> tuple[str | None, ...]:
-        """The paths that are read."""
-        return (self.views, self.photographs.masks, self.photographs.test)
 
 
 @dataclass(frozen=True, kw_only=True)

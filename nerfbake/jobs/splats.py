@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from nerfbake import catalog, io, progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import FRAMES, Budget, reporting
-from nerfbake.jobs.devices import DEVICE, renderer_on
+from nerfbake.jobs.devices import renderer_on
 from nerfbake.jobs.files import (
     AnySource,
     AnyTarget,
@@ -24,14 +24,13 @@ from nerfbake.jobs.files import (
     read_back_as,
 )
 from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial, write_partial_folder
+from nerfbake.jobs.fitted_pictures import FittedPictures
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.photographs import (
     MeasuredViews,
-    PhotographOptions,
     SplitViews,
     mean_of,
     read_photographs,
-    read_photographs_of,
     render_split,
     require_alike,
 )
@@ -51,34 +50,18 @@ from nerfbake.stages.scene_to_cameras import orbit_cameras, without_strays
 from nerfbake.stages.splats_to_splats import merge_splats
 from nerfbake.stages.views_to_error import ViewError, measure_views
 
-EDGE = 400  # width and height of rendered pictures, in pixels
 LEVELS, LESS = 4, 4  # levels of detail, each with a quarter of the splats of the one before
-PICTURES = 100  # rendered pictures that are fitted to
 _ZOOM = 1.13  # the object fills the pictures about as in photographs
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplatsViews:
-    """What the splats are fitted to.
-
-    views        a capture; None: pictures of IN, from all sides
-    photographs  options for its photographs
-    frames       number of rendered pictures; edge: their width and height in pixels
-    device       what renders fields and splats, as in renderer_on()
-    """
-
-    views: str | None = None
-    photographs: PhotographOptions = PhotographOptions()
-    frames: int = PICTURES
-    edge: int = EDGE
-    device: str = DEVICE
+class SplatsViews(FittedPictures):
+    """The pictures that splats are fitted to. The arguments are those of FittedPictures."""
 
     def split(self, steps: Steps, source: Source, field: RadianceField, render: Renderer) -> SplitViews:
         """Return the training views and the held-out views. Raises NerfbakeError if they show something else."""
         if self.views is not None:
-            split = read_photographs_of(steps, Source(self.views), self.photographs, field)
-            require_alike(steps, source, field, split.held_out, self.views, render)
-            return split
+            return self.photographs_of(steps, source, field, render)
         with source.blamed(steps, f"rendering pictures of {source.name}"):
             framed = without_strays(field)
             return render_split(field, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM, render=render)

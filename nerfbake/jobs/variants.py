@@ -13,7 +13,8 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import Budget
 from nerfbake.jobs.files import AnySource, AnyTarget, Source, Target, as_source, as_target
 from nerfbake.jobs.function_voxels import FunctionVoxels
-from nerfbake.jobs.meshes import MeshFile, MeshOptions, MeshViews, bake_mesh
+from nerfbake.jobs.mesh_options import MeshFile, MeshOptions, MeshViews
+from nerfbake.jobs.meshes import bake_mesh
 from nerfbake.jobs.octrees import bake_volume
 from nerfbake.jobs.splats import SplatsOptions, SplatsViews, bake_splats
 from nerfbake.jobs.steps import SILENT, Steps
