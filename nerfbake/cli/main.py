@@ -133,6 +133,9 @@ def run(arguments: list[str]) -> int:
     try:
         result = cli.main(arguments, prog_name="nerfbake", standalone_mode=False)
         return result if isinstance(result, int) else 0
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        return error.exit_code
     except click.UsageError as error:
         command = error.ctx.command_path if error.ctx else "nerfbake"
         return _fail(f"{error.format_message()} (see '{command} --help')", error.exit_code)

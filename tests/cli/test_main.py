@@ -190,3 +190,12 @@ def test_help_of_every_command_shows_a_line_to_paste(capsys: pytest.CaptureFixtu
 def test_a_command_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.run(["nonsense"]) == 2
     assert capsys.readouterr().err.startswith("error: No such command 'nonsense'")
+
+
+@pytest.mark.parametrize("words", [[], ["sample"], ["bench"]])
+def test_a_group_without_a_command_shows_its_help(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(words) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(f"Usage: {' '.join(['nerfbake', *words])} [OPTIONS]")
+    assert said.err.count("\n") > 5
