@@ -109,6 +109,7 @@ class NerfbakeError(Exception):
         if isinstance(self.what, Problem):
             return self.what
         found, _, allowed = self.what.partition(_ALLOWED)
+        found = f"cannot be read: {found}" if found[:1].isupper() else found  # a message of the system has no verb
         return Problem("file", found, allowed or "a file that nerfbake reads")
 
     def __str__(self) -> str:
