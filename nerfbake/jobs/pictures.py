@@ -45,6 +45,7 @@ Field: TypeAlias = RadianceField | LatticeField | FunctionField | Shapes
 
 _PLAIN = {"transmittance_cut": 1e-4, "lookup": "nearest"}  # the defaults of render_field()
 EDGE = 800  # width and height of the pictures of an orbit, in pixels
+_OF_OTHERS = (".mp4", ".webm", ".mov", ".avi", ".mkv", ".webp", ".apng", ".jpg", ".jpeg")  # no names of folders
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +121,9 @@ class PictureOutputs:
             raise UsageError(
                 "`depth` and `alpha` need a file for each picture; allowed: a .png of one picture, or a folder"
             )
+        if several and not together and self.out.lower().endswith(_OF_OTHERS):
+            found = f"{self.out!r} has no file extension for several pictures"
+            raise UsageError(f"{found}; allowed: a .gif, a .png, or a folder")
         if together or not several:
             io.format_for(self.out, together or "Image")
             for path in (self.out, *self.beside(self.out)):

@@ -255,6 +255,7 @@ def test_hostile_cameras_are_one_line(
             2,
             "--turntable and --cameras both select",
         ),
+        (["a.npz", "--turntable", "3", "--out", "a.mp4"], 2, "'a.mp4' has no file extension for several pictures"),
         (["a.npz", "--turntable", "3", "--out", "-"], 2, "stdout takes one picture; allowed for several"),
         (
             ["a.npz", "--turntable", "9", "--out", "a.gif", "--max-memory", "1MB"],
