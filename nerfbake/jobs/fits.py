@@ -299,7 +299,7 @@ def _require(target: Target) -> str:
     if "Meshes" in kinds and io.format_for(target.path, "Meshes", to=target.to).choices("image"):
         kind = "Meshes"
     if kind is None:
-        endings = ", ".join(form.suffix for kind in KINDS for form in catalog.formats_of(kind))
+        endings = ", ".join(dict.fromkeys(form.suffix for kind in KINDS for form in catalog.formats_of(kind)))
         found = f"{target.ending!r} is not the extension of a field or a mesh"
         raise UsageError(f"{found}; allowed: {endings}, or `to=FORMAT`")
     if library := target.require(kind).library:

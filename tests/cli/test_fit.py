@@ -65,6 +65,7 @@ def test_the_words_of_a_run(trainer: FakeFit, capture: Path, capsys: pytest.Capt
 REFUSED: list[tuple[str, int, str]] = [
     ("fit none -", 2, "fit measures the file that it wrote; allowed: an OUT other than '-'"),
     ("fit none a.png", 2, "'a.png' is not the extension of a field or a mesh; allowed: .svo.npz, "),
+    ("fit none a.png", 2, ".glb, .ply, .usdz, .spz, .sog, .npz, .obj, or --to FORMAT"),
     ("fit none a.npz --preset fast --minutes 1", 2, "--preset and --minutes each select a schedule; allowed: one"),
     ("fit none a.npz --epochs x --resolution 256", 2, "--resolution has no effect with --epochs"),
     ("fit none a.npz --epochs x", 2, "stage 1 has 'x'; allowed: cells, "),
