@@ -116,7 +116,8 @@ def _lost(cameras: Cameras, form: Any) -> Iterator[str]:
     if skew > _LEAST_SKEW:
         yield f"warning: the skew is left out, which moves points by up to {skew:.2g} px"
     if isinstance(form, catalog.Dialect):
-        bent = sum(camera.lens is not None and camera.bends for camera in cameras.cameras)
+        lenses = (camera.lens for camera in cameras.cameras)
+        bent = sum(lens is not None and lens.bends and not lens.all_round for lens in lenses)  # encode() refuses those
         if bent:
             yield (
                 f"warning: the lenses of {plural(bent, 'camera')} are left out, because the format has none: it needs "

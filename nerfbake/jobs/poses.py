@@ -253,7 +253,10 @@ def _cameras(model: Path, prefix: str) -> Cameras:
     cameras = io.load(model, Cameras)
     named = (f"{prefix}{camera.picture.removeprefix(f'{_PICTURES}/')}" for camera in cameras.cameras)
     return replace(
-        cameras, cameras=tuple(replace(camera, name=name) for camera, name in zip(cameras.cameras, named, strict=True))
+        cameras,
+        cameras=tuple(
+            replace(camera, name=name, picture=name) for camera, name in zip(cameras.cameras, named, strict=True)
+        ),
     )
 
 

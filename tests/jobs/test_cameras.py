@@ -22,6 +22,7 @@ from tests.jobs.listener import Listener
 from tests.support import camera_tools as tools
 from tests.support.camera_tools import TOOLS
 from tests.support.captures import Rig, rig, write_nerfstudio, write_pictures
+from tests.support.panoramas import panorama_cameras
 from tests.support.photographs import spot, write_picture, write_scene
 from tests.support.reprojection import in_pycolmap, reprojection_errors
 
@@ -233,3 +234,11 @@ def test_test_frames_stay_held_out(tmp_path: Path) -> None:
     (tmp_path / "transforms.json").write_text(json.dumps(fields))
     convert_cameras(tmp_path, str(tmp_path / "again.json"))
     assert load(tmp_path / "again.json", Cameras).held_out == (3,)
+
+
+def test_panoramas_have_no_place_in_cameras_json(tmp_path: Path, listener: Listener) -> None:
+    save(tmp_path / "t.json", panorama_cameras(3, 64))
+    with pytest.raises(InvalidScene, match=r"camera 00 shows all directions; allowed: a pinhole"):
+        convert_cameras(tmp_path / "t.json", Target(str(tmp_path / "c.json"), to="3dgs"), steps=listener)
+    assert not (tmp_path / "c.json").exists()
+    assert not any("left out" in text for text in listener.said)

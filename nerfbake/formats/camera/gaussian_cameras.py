@@ -15,7 +15,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nerfbake.errors import InvalidFile, Problem
+from nerfbake.errors import InvalidFile, InvalidScene, Problem
 from nerfbake.formats.camera.album import Album, Posed, cameras_of, edge_of
 from nerfbake.formats.camera.capture import MAX_FRAMES, CaptureFolder, opengl
 from nerfbake.formats.camera.turns import pose_of_world
@@ -50,9 +50,12 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
 
 
 def encode(cameras: Cameras) -> Iterator[bytes]:
-    """Encode cameras.json. Lenses and principal points have no place in it."""
+    """Encode cameras.json. Lenses and principal points have no place in it. Raises InvalidScene for panoramas."""
     entries = []
     for i, camera in enumerate(cameras.cameras):
+        if camera.lens is not None and camera.lens.all_round:
+            found = "shows all directions"
+            raise InvalidScene(Problem(f"camera {camera.name}".strip(), found, "a pinhole: the format has no lens"))
         pose = opengl(camera.pose)
         fields = {"id": i, "img_name": camera.name, "width": camera.width, "height": camera.height}
         fields |= {"position": pose[:3, 3].tolist(), "rotation": pose[:3, :3].tolist()}

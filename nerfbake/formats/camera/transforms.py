@@ -282,7 +282,11 @@ def encode(cameras: Cameras) -> Iterator[bytes]:
     fields = [_fields(camera) for camera in cameras.cameras]
     alike = all(each == fields[0] for each in fields)
     frames = [
-        {"file_path": camera.name, **({} if alike else each), "transform_matrix": camera.pose.tolist()}
+        {
+            "file_path": camera.picture or camera.name,
+            **({} if alike else each),
+            "transform_matrix": camera.pose.tolist(),
+        }
         for camera, each in zip(cameras.cameras, fields, strict=True)
     ]
     samples = {} if cameras.samples == 1 else {"samples": cameras.samples}

@@ -17,7 +17,7 @@ from nerfbake.errors import InvalidFile, InvalidScene
 from nerfbake.formats.camera import transforms as cameras_json
 from nerfbake.formats.camera.capture import PictureSizes
 from nerfbake.io.sources import Folder
-from nerfbake.scene.camera import Cameras
+from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.lens import Lens
 
 EYE = np.eye(4).tolist()
@@ -88,6 +88,12 @@ def test_what_is_written_is_read() -> None:
     for more in ({"cx": 300}, {"fl_y": 400}, {"k1": 0.1}):
         (data,) = cameras_json.encode(read(capture(w=640, h=480, fl_x=500, **more)))
         assert "camera_angle_x" not in json.loads(data)
+
+
+def test_the_path_of_a_picture_is_written() -> None:
+    made = Cameras((Camera(4, 3, 5.0, np.eye(4), "a", picture="images/a.jpg"), Camera(4, 3, 5.0, np.eye(4), "b")))
+    (data,) = cameras_json.encode(made)
+    assert [frame["file_path"] for frame in json.loads(data)["frames"]] == ["images/a.jpg", "b"]
 
 
 def test_cameras_of_different_kinds_are_written_each_with_its_own() -> None:
