@@ -179,7 +179,7 @@ class _Renamed:
         self._steps.say(self.named(text))
 
     def _with_command(self, argument: re.Match[str]) -> str:
-        return argument[0] if argument[1] in _TAKEN else f"{argument[0]} of `nerfbake {self._command}`"
+        return argument[0] if argument[1] in _TAKEN else f"{argument[0]} of `{self._command}`"
 
     def phase(self, text: str) -> AbstractContextManager[Tell]:
         return self._steps.phase(self.named(text))
@@ -242,33 +242,33 @@ class _Workshop:
         steps, title = self._steps, catalog.scene_name(self._source.name)
         if name.startswith("splats."):
             splats = self.splats()
-            return lambda path: convert_splats(splats, path, steps=steps.of("convert"))
+            return lambda path: convert_splats(splats, path, steps=steps.of("nerfbake convert"))
         if name.startswith("mesh."):
             # Of splats themselves: their pictures are sharper than those of their voxels.
             shown = self._source if issubclass(self._kind, Splats) else self.field()
             views, options = MeshViews(**vars(self._pictures)), self._options
             size = MeshOptions(triangles=(options.triangles,), texture=options.texture)
-            return lambda path: bake_mesh(shown, path, pictures=views, options=size, steps=steps.of("mesh"))
+            return lambda path: bake_mesh(shown, path, pictures=views, options=size, steps=steps.of("nerfbake mesh"))
         source = self.field()
         return {
-            "scene.html": lambda path: view_file(source, path, title=title, steps=steps.of("view")),
-            "scene.vdb": lambda path: bake_volume(source, path, steps=steps.of("vdb")),
-            "scene.svoq": lambda path: compress_file(source, path, steps=steps.of("compress")),
-        }.get(name, lambda path: bake_octree(source, path, steps=steps.of("svo")))
+            "scene.html": lambda path: view_file(source, path, title=title, steps=steps.of("nerfbake view")),
+            "scene.vdb": lambda path: bake_volume(source, path, steps=steps.of("nerfbake vdb")),
+            "scene.svoq": lambda path: compress_file(source, path, steps=steps.of("nerfbake compress")),
+        }.get(name, lambda path: bake_octree(source, path, steps=steps.of("nerfbake svo")))
 
     def _bake_function(self, path: Path) -> object:
-        return convert_file(self._source, path, functions=self._functions, steps=self._steps.of("convert"))
+        return convert_file(self._source, path, functions=self._functions, steps=self._steps.of("nerfbake convert"))
 
     def _bake_octree(self, path: Path) -> object:
         options = ReadingOptions(in_up=self._up) if issubclass(self._kind, Splats) else ReadingOptions()
-        return bake_octree(self._source, path, options=options, steps=self._steps.of("svo"))
+        return bake_octree(self._source, path, options=options, steps=self._steps.of("nerfbake svo"))
 
     def _bake_splats(self, path: Path) -> object:
         source, views = (self._source if issubclass(self._kind, Splats) else self.field()), self._pictures
         if issubclass(self._kind, Splats) and self._options.splats is None:
-            return convert_splats(source, path, in_up=self._up, steps=self._steps.of("convert"))
+            return convert_splats(source, path, in_up=self._up, steps=self._steps.of("nerfbake convert"))
         options = SplatsOptions(splats=self._options.splats)
-        steps = self._steps.of("splats")
+        steps = self._steps.of("nerfbake splats")
         return bake_splats(source, path, SplatsViews(**vars(views)), options=options, in_up=self._up, steps=steps)
 
     def _once(self, name: str, what: str, make: Callable[[Path], object]) -> Source:
