@@ -83,3 +83,13 @@ def test_info_of_a_compressed_octree_tells_parts_that_make_up_the_file(
     assert sum(facts["percent_of_parts"].values()) == pytest.approx(100, abs=0.2)
     assert run(["info", str(path)]) == 0
     assert f"topology {facts['bytes_of_parts']['topology']:,}" in capsys.readouterr().out
+
+
+def test_a_folder_of_photographs_is_told_what_takes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a.JPG", "b.png"):
+        (tmp_path / name).touch()
+    assert run(["info", str(tmp_path)]) == 1
+    assert "holds pictures alone (`nerfbake fit` takes them, and `nerfbake poses` finds" in capsys.readouterr().err
+    (tmp_path / "notes.txt").touch()
+    assert run(["info", str(tmp_path)]) == 1
+    assert "is a folder of unknown kind" in capsys.readouterr().err
