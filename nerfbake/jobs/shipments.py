@@ -39,6 +39,7 @@ from nerfbake.jobs.photographs import PhotographOptions
 from nerfbake.jobs.reading_options import ReadingOptions
 from nerfbake.jobs.readings import Reading
 from nerfbake.jobs.shipping_list import FILES, ListedFile, require_targets
+from nerfbake.jobs.splat_choice import SplatChoice
 from nerfbake.jobs.splats import SplatsOptions, SplatsViews, bake_splats
 from nerfbake.jobs.steps import SILENT, Steps, Tell
 from nerfbake.jobs.views import in_one_world, renderable_scene, views_of
@@ -241,8 +242,8 @@ class _Workshop:
         """Return the function that writes this file to a path. Shared steps are run here. Raises NerfbakeError."""
         steps, title = self._steps, catalog.scene_name(self._source.name)
         if name.startswith("splats."):
-            splats = self.splats()
-            return lambda path: convert_splats(splats, path, steps=steps.of("nerfbake convert"))
+            splats, choice = self.splats(), SplatChoice(spz_version=3) if name.endswith(".spz") else SplatChoice()
+            return lambda path: convert_splats(splats, path, choice=choice, steps=steps.of("nerfbake convert"))
         if name.startswith("mesh."):
             # Of splats themselves: their pictures are sharper than those of their voxels.
             shown = self._source if issubclass(self._kind, Splats) else self.field()

@@ -62,14 +62,17 @@ FILES: dict[str, ListedFile] = {
         ),
     ),
     "splats.spz": ListedFile(
-        "Gaussian splats, compressed, SPZ 4, y up",
+        "Gaussian splats, compressed, SPZ 3, y up",
         Splats,
         (
             ReadingProgram("splat-transform", "3.7.0", _UPRIGHT, "ran"),
             ReadingProgram("gaussforge", "0.6.0", _UPRIGHT, "ran"),
-            ReadingProgram("gsply", "0.4.6", f"{_UPRIGHT}; needs gsply[spz]", "ran"),
-            ReadingProgram("usd-convert-gsplat", "0.1.15", "refuses SPZ 4", "ran"),
-            ReadingProgram("Omniverse's converter", "", "SPZ 2 and 3 alone", "read"),
+            ReadingProgram("three.js", "0.187", "draws them as nerfbake renders them", "ran"),
+            ReadingProgram("Spark", "2.2", "turns nothing; centres in half floats", "ran"),
+            ReadingProgram("Babylon.js", "9.28", "turns nothing", "ran"),
+            ReadingProgram("gsply", "0.4.6", _UPRIGHT, "ran"),
+            ReadingProgram("usd-convert-gsplat", "0.1.15", _UPRIGHT, "ran"),
+            ReadingProgram("Omniverse's converter", "", "SPZ 2 and 3", "read"),
         ),
     ),
     "splats.sog": ListedFile(

@@ -178,7 +178,7 @@ def test_the_axes_of_a_spz_are_chosen_and_its_old_readers_named(tmp_path: Path, 
     (tmp_path / "a.spz").write_bytes(gzip_spz(scene, 3))  # as a program writes it that turns nothing
     convert_splats(tmp_path / "a.spz", tmp_path / "b.spz", choice=SplatChoice(in_axes="RDF"), steps=listener)
     assert f"{tmp_path / 'a.spz'}: axes not named; read as right, up, back (SPZ's README)" in listener.said
-    assert listener.said[-1].startswith(f"{tmp_path / 'b.spz'}: version 4 of .spz; Omniverse's converter, ")
+    assert listener.said[-1].startswith(f"{tmp_path / 'b.spz'}: version 4 of .spz; Spark 2.2, Omniverse's converter, ")
     assert not any("upside down" in line for line in listener.said)
     np.testing.assert_allclose(load(tmp_path / "b.spz", Splats).means, scene.means, atol=1e-3)
     choice = SplatChoice(axes="LFU", spz_version=3)

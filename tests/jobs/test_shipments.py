@@ -115,6 +115,7 @@ def test_splats_of_all_formats_have_the_same_pictures(whole: tuple[Path, Shipmen
     for name in ("splats.spz", "splats.sog", "splats.usdc"):
         assert found[name]["psnr"] == pytest.approx(found["splats.ply"]["psnr"], abs=0.5)
     assert len(whole[1].shared) == 1
+    assert (whole[0] / "splats.spz").read_bytes()[:2] == b"\x1f\x8b"  # gzip, so version 3: more programs read it than 4
 
 
 @pytest.mark.slow

@@ -63,8 +63,8 @@ _COORDINATE_SYSTEM = 0xADBE0003
 _USUAL: Axes = "RUB"
 UNNAMED = "axes not named; read as right, up, back (SPZ's README)"
 _OLD_READERS = (
-    "version 4 of .spz; Omniverse's converter, gsply without an extra and older plug-ins of Unity and game engines read"
-    " only up to 3, which `spz_version=3` writes"
+    "version 4 of .spz; Spark 2.2, Omniverse's converter, gsply and Babylon.js without an extra, and older plug-ins of"
+    " Unity and game engines read only up to 3, which `spz_version=3` writes"
 )
 _NAMES_IN_3 = (
     "names its axes in version 3 of .spz; three.js 0.187 refuses that, and Babylon.js 9.28 takes it for antialiased"
