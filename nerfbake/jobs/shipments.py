@@ -242,7 +242,7 @@ class _Workshop:
         """Return the function that writes this file to a path. Shared steps are run here. Raises NerfbakeError."""
         steps, title = self._steps, catalog.scene_name(self._source.name)
         if name.startswith("splats."):
-            splats, choice = self.splats(), SplatChoice(spz_version=3) if name.endswith(".spz") else SplatChoice()
+            splats, choice = self.splats(), SplatChoice(spz_version=3) if name == "splats.spz" else SplatChoice()
             return lambda path: convert_splats(splats, path, choice=choice, steps=steps.of("nerfbake convert"))
         if name.startswith("mesh."):
             # Of splats themselves: their pictures are sharper than those of their voxels.

@@ -66,7 +66,7 @@ def blobs() -> Splats:
     n = 60
     quats = rng.normal(size=(n, 4))
     return Splats(
-        means=rng.normal(size=(n, 3)).astype(np.float32) * np.float32([0.3, 0.5, 0.2]),
+        means=rng.normal(size=(n, 3)).astype(np.float32) * np.array([0.3, 0.5, 0.2], np.float32),
         scales=np.exp(rng.uniform(-4, -1.6, (n, 3))).astype(np.float32),
         quats=(quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
         opacity=rng.uniform(0.3, 1, n).astype(np.float32),
