@@ -257,6 +257,9 @@ class PhotographFormat(Protocol):
         view: the first bytes of the file, of a HEIC all.
         """
 
+    def up_of(self, view: memoryview, /) -> tuple[float, float, float] | None:
+        """Return the direction that points up, in the camera's axes; None if it is not stored. view: see place_of()."""
+
     def is_panorama(self, view: memoryview, /) -> bool:
         """Return whether a photograph says that it shows all directions. view: as for place_of()."""
 

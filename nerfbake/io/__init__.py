@@ -28,6 +28,7 @@ from nerfbake.io.reading import load_place as load_place
 from nerfbake.io.reading import load_preview as load_preview
 from nerfbake.io.reading import load_split as load_split
 from nerfbake.io.reading import load_thumbnail as load_thumbnail
+from nerfbake.io.reading import load_up as load_up
 from nerfbake.io.reading import load_with_format as load_with_format
 from nerfbake.io.reading import picture_in as picture_in
 from nerfbake.io.reading import unread_cameras as unread_cameras

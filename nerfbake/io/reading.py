@@ -452,6 +452,15 @@ def load_place(path: str | Path) -> tuple[float, float, float] | None:
         return load_photographs().place_of(_read_metadata(path))
 
 
+def load_up(path: str | Path) -> tuple[float, float, float] | None:
+    """Return the direction that points up in a photograph, in its camera's axes; None if it does not hold it.
+
+    Raises InvalidFile, MemoryLimit.
+    """
+    with blame(str(path)), memory.scope():
+        return load_photographs().up_of(_read_metadata(path))
+
+
 def is_panorama(path: str | Path) -> bool:
     """Return whether a photograph says that it shows all directions. Raises InvalidFile, MemoryLimit."""
     with blame(str(path)), memory.scope():

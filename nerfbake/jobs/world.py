@@ -1,4 +1,4 @@
-"""The world of cameras in metres and upright: by a known distance, by the positions in photographs, by the ground."""
+"""The world of cameras in metres and upright: by a distance, by positions and gravity in photographs, by the ground."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from nerfbake import io
 from nerfbake.errors import InvalidScene, Problem, UsageError
@@ -15,6 +15,9 @@ from nerfbake.kernels.soundness import plural
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.origin import choose_origin_of_cameras
 from nerfbake.scene.world import UP, EarthPlace, Frame, World
+
+if TYPE_CHECKING:
+    from nerfbake.stages.frames import Level
 
 GPS, NONE = "gps", "none"
 _UNITS = {"": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -86,7 +89,7 @@ def find_world(
 
     name         of the capture, in messages
     photographs  one for each camera, if there is one
-    automatic    use GPS positions without being asked if they fit well
+    automatic    use GPS positions without being asked if they fit well, and gravity
 
     Raises UsageError, InvalidScene.
     """
@@ -104,6 +107,11 @@ def find_world(
             if found is not None:
                 frame, world = found.frame, found.world
                 told.append(found.told)
+        # Positions that are not on a line tell what is up as well, and better than a phone that moves.
+        asked = options.ground or options.scale == GPS or (automatic and options.scale != NONE)
+        if asked and not world.upright and (level := _by_gravity(steps, name, cameras, photographs)) is not None:
+            frame, world = frame.then(level.frame), world._replace(upright=True)
+            told.append(f"z is up by gravity in {plural(level.used, 'photograph')}, {level.off:.1f} degrees off")
         if options.ground:
             moved = cameras.transformed(frame.matrix)
             start = choose_origin_of_cameras(moved.eyes)  # squares of coordinates far from 0 have few digits left
@@ -159,6 +167,21 @@ def _by_positions(
     if not fitted.turned:
         return _Found(fitted.frame, World(metres=True), f"{told}; they are on a line, so the world is not turned")
     return _Found(fitted.frame, World(True, True, middle), told)
+
+
+def _by_gravity(steps: Steps, name: str, cameras: Cameras, photographs: Sequence[Path | None]) -> Level | None:
+    """Return the world that is upright by the cameras' sensors; None if photographs have no gravity, or disagree."""
+    from nerfbake.stages.frames import frame_of_gravity
+
+    ups = [None if path is None else io.load_up(path) for path in photographs]
+    kept = [i for i, up in enumerate(ups) if up is not None]
+    if not kept:
+        return None
+    try:
+        return frame_of_gravity(cameras.take(kept), [up for up in ups if up is not None])
+    except InvalidScene as error:
+        steps.say(f"{name}: gravity is not used: {error}")
+        return None
 
 
 def _number(cameras: Cameras, name: str) -> int:

@@ -1,4 +1,4 @@
-"""Cameras -> the frame of a world in metres, or of one whose ground is z = 0.
+"""Cameras -> the frame of a world in metres, of one in which z points up, or of one whose ground is z = 0.
 
 Sources: Horn, "Closed-form solution of absolute orientation using unit quaternions" (1987); the least median of squares
 of Rousseeuw (1984); WGS 84 for the ellipsoid.
@@ -17,6 +17,7 @@ from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import compose, length, rotate, transform_points
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.maths.linear import eigenvectors
+from nerfbake.kernels.soundness import plural
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.world import EarthPlace, Frame
 
@@ -33,6 +34,9 @@ _BELOW = 0.05  # share of the points that may lie below the ground
 _LEAST_GROUND = 0.1  # share of the points that lie on the ground
 _LEVEL = 0.05  # mean square of the sideways axes along the second vertical: less, and there are two of them
 _FEW = 50  # points
+_ROUNDS = 5  # of leaving out directions that are wrong
+_EQUAL = 1e-3  # radians: directions that are nearer than this are all used
+_UPRIGHT = 5.0  # degrees: with more, the pictures were turned, or what they store is not gravity
 
 
 class Fitted(NamedTuple):
@@ -181,6 +185,36 @@ def vertical_of(cameras: Cameras) -> Floats:
     sign = float(rotate(ups.mean(axis=0), np.broadcast_to(up, (3, 3)))[0])
     down = float(rotate(cameras.axes.mean(axis=0), np.broadcast_to(up, (3, 3)))[0])
     return up if sign - down > 0 else -up
+
+
+class Level(NamedTuple):
+    """frame: in it z points up. off: the median angle from it, in degrees. used: the number of cameras that agree."""
+
+    frame: Frame
+    off: float
+    used: int
+
+
+def frame_of_gravity(cameras: Cameras, ups: Sequence[tuple[float, float, float]]) -> Level:
+    """Return the world whose z is the mean of what points up in the pictures, of which up to half may be wrong.
+
+    ups: a unit vector for each camera, in its axes. Raises InvalidScene if they do not agree.
+    """
+    pairs = zip(ups, cameras.cameras, strict=True)
+    directions = np.stack([rotate(np.array(up), camera.pose[:3, :3]) for up, camera in pairs])
+    up = np.median(directions, axis=0)
+    for _ in range(_ROUNDS):
+        up = up / max(length(up), 1e-9)
+        away = np.asarray(np.sqrt(np.square(directions - up).sum(axis=1)))
+        near = away <= max(_OUT * float(np.median(away)), _EQUAL)
+        up = directions[near].mean(axis=0)
+    off = float(np.degrees(np.median(away)))
+    if len(ups) < LEAST or off > _UPRIGHT:
+        found = f"differ by {off:.2g} degrees at the median of {plural(len(ups), 'picture')}"
+        raise InvalidScene(
+            Problem("the directions of gravity", found, f"{LEAST} or more that agree to {_UPRIGHT:g} degrees")
+        )
+    return Level(Frame(turn=_turn_to_z(up / length(up))), off, int(near.sum()))
 
 
 class Ground(NamedTuple):

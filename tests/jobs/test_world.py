@@ -15,6 +15,7 @@ from nerfbake.jobs import FitOptions, WorldOptions, convert_cameras, fit_scene
 from nerfbake.jobs.world import find_world
 from nerfbake.scene.world import EarthPlace, World
 from tests.jobs.listener import Listener
+from tests.support.gravity import write_drone, write_upright
 from tests.support.photographs import write_scene
 
 PLACE = EarthPlace(46.8, -91.99, 200.0)
@@ -126,12 +127,49 @@ def test_few_or_rough_positions_are_used_only_if_asked(cameras: Cameras, tmp_pat
     assert find_world(Listener(), "in", cameras, WorldOptions(scale="none"), placed(tmp_path, cameras)) is None
 
 
+def test_gravity_tells_what_is_up(cameras: Cameras, tmp_path: Path) -> None:
+    up = np.array([0.48, -0.6, 0.64])
+    photographs: list[Path | None] = [write_upright(tmp_path / c.name, c.pose, up) for c in cameras.cameras]
+    write_drone(tmp_path / cameras.names[4], 45, 90)  # one is wrong
+    listener = Listener()
+    options = WorldOptions(scale=f"{cameras.names[0]},{cameras.names[3]}=2m")
+    moved = find_world(listener, "in", cameras, options, photographs, automatic=True)
+    assert moved is not None
+    assert moved.world == World(metres=True, upright=True)
+    assert moved.frame.turn @ up == pytest.approx([0, 0, 1], abs=1e-3)
+    assert "; z is up by gravity in 9 photographs, 0.0 degrees off" in listener.said[0]
+    eyes = moved.apply(cameras).eyes
+    assert np.linalg.norm(eyes[0] - eyes[3]) == pytest.approx(2)
+    for kept in (WorldOptions(scale="none"), WorldOptions()):
+        assert find_world(Listener(), "in", cameras, kept, photographs, automatic=kept.scale == "none") is None
+
+
+def test_positions_tell_what_is_up_before_gravity_does(cameras: Cameras, tmp_path: Path) -> None:
+    photographs = placed(tmp_path, cameras)
+    for camera, path in zip(cameras.cameras, photographs, strict=True):
+        assert path is not None
+        packet = write_upright(tmp_path / "up.jpg", camera.pose, np.array([0, 0, 1.0]))
+        with Pillow.open(packet) as turned, Pillow.open(path) as picture:
+            picture.save(path, exif=picture.getexif(), xmp=turned.info["xmp"])
+    listener = Listener()
+    moved = find_world(listener, "in", cameras, WorldOptions(), photographs, automatic=True)
+    assert moved is not None
+    assert moved.frame.turn == pytest.approx(np.eye(3)[[1, 2, 0]], abs=0.01)
+    assert "gravity" not in listener.said[0]
+
+
+def test_directions_that_differ_are_not_gravity(cameras: Cameras, tmp_path: Path) -> None:
+    photographs: list[Path | None] = [write_drone(tmp_path / c.name, 0, 40 * i) for i, c in enumerate(cameras.cameras)]
+    listener = Listener()
+    assert find_world(listener, "in", cameras, WorldOptions(), photographs, automatic=True) is None
+    assert "in: gravity is not used: the directions of gravity differ by" in listener.said[0]
+    assert "allowed: 3 or more that agree to 5 degrees" in listener.said[0]
+
+
 def test_the_world_is_kept_in_transforms_json(cameras: Cameras, tmp_path: Path) -> None:
     photographs = placed(tmp_path / "drawn" / "train", cameras)
     capture = tmp_path / "drawn" / "cameras.json"
     save(capture, cameras)
-    text = capture.read_text().replace('"file_path": "', '"file_path": "train/')
-    capture.write_text(text)
     for path in photographs:
         assert path is not None
         path.with_suffix(".png").unlink(missing_ok=True)

@@ -16,6 +16,7 @@ upright.
 from __future__ import annotations
 
 import io
+import math
 import struct
 import warnings
 import zlib
@@ -30,7 +31,7 @@ from PIL import Image, UnidentifiedImageError
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.wire import heif, xmp
+from nerfbake.formats.wire import gravity, heif, xmp
 from nerfbake.formats.wire.png import require_checksums
 from nerfbake.kernels.soundness import MAX_EDGE
 
@@ -370,6 +371,29 @@ def is_panorama(view: memoryview) -> bool:
     with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=0) as picture:
         packet, (width, height) = picture.info.get("xmp"), picture.size
     return width == 2 * height and isinstance(packet, bytes) and xmp.is_all_round(xmp.properties_of(packet))
+
+
+_MAKER_NOTE, _LENS_MODEL = 0x927C, 0xA434  # EXIF 2.32, tables 7 and 8
+
+
+def up_of(view: memoryview) -> tuple[float, float, float] | None:
+    """Return the direction that points up in a photograph, x right, y up, z back, by its camera's sensors; or None.
+
+    view: the first bytes of a PNG or a JPEG, or a whole HEIC.
+    """
+    try:
+        with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=0) as picture:
+            packet = picture.info.get("xmp")
+            up = gravity.up_of_angles(xmp.properties_of(packet)) if isinstance(packet, bytes) else None
+            tags = picture.getexif().get_ifd(_EXIF) if up is None and picture.format != "PNG" else {}
+            # A JPEG that was turned upright has the axes of the sensor no more; a selfie's are mirrored.
+            odd = picture.format == "JPEG" and picture.width < picture.height
+            if up is None and _MAKER_NOTE in tags and not odd and "front" not in str(tags.get(_LENS_MODEL)):
+                found = gravity.up_of_apple(tags[_MAKER_NOTE])
+                up = found and gravity.turned(found, picture.info.get("original_orientation") or 1)
+    except Exception:  # Pillow raises many types for damaged EXIF, which says nothing about the pixels
+        return None
+    return up if up is not None and all(map(math.isfinite, up)) else None
 
 
 _PREVIEW_QUALITY = 80  # of JPEG: 20 to 40 kB at 480 x 360
