@@ -170,12 +170,12 @@ def _by_positions(
 
 
 def _by_gravity(steps: Steps, name: str, cameras: Cameras, photographs: Sequence[Path | None]) -> Level | None:
-    """Return the world that is upright by the cameras' sensors; None if photographs have no gravity, or disagree."""
-    from nerfbake.stages.frames import frame_of_gravity
+    """Return the world that is upright by the cameras' sensors; None if few photographs have gravity, or disagree."""
+    from nerfbake.stages.frames import LEAST, frame_of_gravity
 
     ups = [None if path is None else io.load_up(path) for path in photographs]
     kept = [i for i, up in enumerate(ups) if up is not None]
-    if not kept:
+    if len(kept) < LEAST:
         return None
     try:
         return frame_of_gravity(cameras.take(kept), [up for up in ups if up is not None])

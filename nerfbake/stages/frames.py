@@ -209,11 +209,9 @@ def frame_of_gravity(cameras: Cameras, ups: Sequence[tuple[float, float, float]]
         near = away <= max(_OUT * float(np.median(away)), _EQUAL)
         up = directions[near].mean(axis=0)
     off = float(np.degrees(np.median(away)))
-    if len(ups) < LEAST or off > _UPRIGHT:
+    if off > _UPRIGHT:
         found = f"differ by {off:.2g} degrees at the median of {plural(len(ups), 'picture')}"
-        raise InvalidScene(
-            Problem("the directions of gravity", found, f"{LEAST} or more that agree to {_UPRIGHT:g} degrees")
-        )
+        raise InvalidScene(Problem("the directions of gravity", found, f"up to {_UPRIGHT:g} degrees"))
     return Level(Frame(turn=_turn_to_z(up / length(up))), off, int(near.sum()))
 
 

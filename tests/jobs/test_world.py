@@ -163,7 +163,10 @@ def test_directions_that_differ_are_not_gravity(cameras: Cameras, tmp_path: Path
     listener = Listener()
     assert find_world(listener, "in", cameras, WorldOptions(), photographs, automatic=True) is None
     assert "in: gravity is not used: the directions of gravity differ by" in listener.said[0]
-    assert "allowed: 3 or more that agree to 5 degrees" in listener.said[0]
+    assert "allowed: up to 5 degrees" in listener.said[0]
+    few: list[Path | None] = [*photographs[:2], *[None] * 8]
+    assert find_world(listener, "in", cameras, WorldOptions(), few, automatic=True) is None
+    assert len(listener.said) == 1
 
 
 def test_the_world_is_kept_in_transforms_json(cameras: Cameras, tmp_path: Path) -> None:

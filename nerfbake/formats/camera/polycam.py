@@ -5,7 +5,8 @@ fx, fy, cx, cy, width, height    pixels of the picture as the sensor has it
 
 The corrected folders, whose pictures have no distortion, are read if both are there; else cameras and images, whose
 distortion is not in the files.
-Source: the README of PolyCam/polyform. No real capture was checked, and a note says so.
+Source: the README of PolyCam/polyform; nerfstudio and simplecv agree with it. No real capture was checked, and a note
+says so.
 """
 
 from __future__ import annotations
