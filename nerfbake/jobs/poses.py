@@ -98,7 +98,12 @@ def find_poses(
         sequential = len(names) > MOST_EXHAUSTIVE
     with _model_folder(folder, force) as part:
         pictures = _readable(steps, place, names, part / "pictures")
-        request = {"pictures": str(pictures), "groups": groups, "panoramas": round_ones, "model": str(part)}
+        request: dict[str, Any] = {
+            "pictures": str(pictures),
+            "groups": groups,
+            "panoramas": round_ones,
+            "model": str(part),
+        }
         request |= {"work": str(part / "work"), "sequential": sequential, "seed": seed, "threads": cores()}
         found = _run(steps, source.name, request)
         if pictures != place:

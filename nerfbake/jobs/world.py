@@ -17,7 +17,7 @@ from nerfbake.scene.origin import choose_origin_of_cameras
 from nerfbake.scene.world import UP, EarthPlace, Frame, World
 
 if TYPE_CHECKING:
-    from nerfbake.stages.frames import Level
+    from nerfbake.stages.frames import Gravity
 
 GPS, NONE = "gps", "none"
 _UNITS = {"": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -109,9 +109,9 @@ def find_world(
                 told.append(found.told)
         # Positions that are not on a line tell what is up as well, and better than a phone that moves.
         asked = options.ground or options.scale == GPS or (automatic and options.scale != NONE)
-        if asked and not world.upright and (level := _by_gravity(steps, name, cameras, photographs)) is not None:
-            frame, world = frame.then(level.frame), world._replace(upright=True)
-            told.append(f"z is up by gravity in {plural(level.used, 'photograph')}, {level.off:.1f} degrees off")
+        if asked and not world.upright and (gravity := _by_gravity(steps, name, cameras, photographs)) is not None:
+            frame, world = frame.then(gravity.frame), world._replace(upright=True)
+            told.append(f"z is up by gravity in {plural(gravity.used, 'photograph')}, {gravity.off:.1f} degrees off")
         if options.ground:
             moved = cameras.transformed(frame.matrix)
             start = choose_origin_of_cameras(moved.eyes)  # squares of coordinates far from 0 have few digits left
@@ -169,7 +169,7 @@ def _by_positions(
     return _Found(fitted.frame, World(True, True, middle), told)
 
 
-def _by_gravity(steps: Steps, name: str, cameras: Cameras, photographs: Sequence[Path | None]) -> Level | None:
+def _by_gravity(steps: Steps, name: str, cameras: Cameras, photographs: Sequence[Path | None]) -> Gravity | None:
     """Return the world that is upright by the cameras' sensors; None if few photographs have gravity, or disagree."""
     from nerfbake.stages.frames import LEAST, frame_of_gravity
 

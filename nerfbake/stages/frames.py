@@ -187,7 +187,7 @@ def vertical_of(cameras: Cameras) -> Floats:
     return up if sign - down > 0 else -up
 
 
-class Level(NamedTuple):
+class Gravity(NamedTuple):
     """frame: in it z points up. off: the median angle from it, in degrees. used: the number of cameras that agree."""
 
     frame: Frame
@@ -195,7 +195,7 @@ class Level(NamedTuple):
     used: int
 
 
-def frame_of_gravity(cameras: Cameras, ups: Sequence[tuple[float, float, float]]) -> Level:
+def frame_of_gravity(cameras: Cameras, ups: Sequence[tuple[float, float, float]]) -> Gravity:
     """Return the world whose z is the mean of what points up in the pictures, of which up to half may be wrong.
 
     ups: a unit vector for each camera, in its axes. Raises InvalidScene if they do not agree.
@@ -212,7 +212,7 @@ def frame_of_gravity(cameras: Cameras, ups: Sequence[tuple[float, float, float]]
     if off > _UPRIGHT:
         found = f"differ by {off:.2g} degrees at the median of {plural(len(ups), 'picture')}"
         raise InvalidScene(Problem("the directions of gravity", found, f"up to {_UPRIGHT:g} degrees"))
-    return Level(Frame(turn=_turn_to_z(up / length(up))), off, int(near.sum()))
+    return Gravity(Frame(turn=_turn_to_z(up / length(up))), off, int(near.sum()))
 
 
 class Ground(NamedTuple):
