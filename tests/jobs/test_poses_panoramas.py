@@ -13,6 +13,7 @@ from benchmarks.captures import position_errors
 from nerfbake import Cameras, load
 from nerfbake.errors import InvalidFile
 from nerfbake.jobs import find_poses, poses
+from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.lens import Lens
 from tests.jobs.listener import Listener
 from tests.support.panoramas import ALL_ROUND, GPANO, sighting_errors, tagged, write_panoramas
@@ -24,12 +25,12 @@ def groups_of(folder: Path, panoramas: bool = False) -> tuple[list[list[str]], l
     return *poses._same_sizes(listener, folder, names, panoramas), listener.said
 
 
-def rotation_errors(found: Cameras, known: Cameras) -> np.ndarray:
+def rotation_errors(found: Cameras, known: Cameras) -> Floats:
     """Degrees between rotations, after the one that fits best turns the world."""
     turns = [np.stack([camera.pose[:3, :3] for camera in each.cameras]) for each in (found, known)]
     u, _, v = np.linalg.svd(np.einsum("nij,nkj->ik", turns[1], turns[0]))
     between = np.einsum("nij,nik->njk", (u @ v) @ turns[0], turns[1])
-    return np.degrees(np.arccos(np.clip((np.trace(between, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    return np.asarray(np.degrees(np.arccos(np.clip((np.trace(between, axis1=1, axis2=2) - 1) / 2, -1, 1))))
 
 
 @pytest.mark.long
