@@ -86,13 +86,19 @@ def _thread_seconds() -> dict[str, float]:
     """Return the CPU seconds of each thread of each process that this process has started."""
     found = {}
     for process in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
-        for child in process.read_text().split():
+        for child in _words(process):
             for task in Path(f"/proc/{child}/task").glob("*/schedstat"):
-                try:
-                    found[str(task)] = int(task.read_text().split()[0]) / 1e9
-                except OSError:  # the thread has ended
-                    continue
+                if spent := _words(task):
+                    found[str(task)] = int(spent[0]) / 1e9
     return found
+
+
+def _words(file: Path) -> list[str]:
+    """Return the words of a file of a thread; none if the thread has ended."""
+    try:
+        return file.read_text().split()
+    except OSError:
+        return []
 
 
 def main(words: Sequence[str]) -> None:
