@@ -14,6 +14,7 @@ import numpy.typing as npt
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Coords, Ints, Points, Singles
 from nerfbake.kernels.fit.bricks import top_grid
+from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.soundness import count_problem, plural
 from nerfbake.scene.base import Scene, edge_problems, number_problems, place_problems, require_shape
 from nerfbake.scene.basis import Basis, renderable_basis
@@ -23,6 +24,7 @@ EDGE = 8  # cells along an axis of a brick
 MAX_RESOLUTION = 4096
 MIN_SHELL_BRICKS = 4  # along an axis: then the next smaller shell covers whole bricks
 EMPTY = -1
+_CHUNK = 1 << 8  # bricks that a core checks at a time
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -215,9 +217,15 @@ class BrickField(Scene):
         most = np.maximum.accumulate(met) if len(met) else met
         if np.any(most[1:] > most[:-1] + 1) or (len(met) and met[0]) or int(most[-1] if len(met) else -1) != self.n - 1:
             return [Problem("rows", "are not numbered in order", "0, 1, 2, ... in order of first occurrence")]
-        pairs = self.rows.reshape(-1, 4, 2, 4, 2, 4, 2).transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, 8)
-        wide = (pairs >= 0) & (pairs & 1 == 1)
-        if np.any(wide.any(axis=1) & (pairs != pairs[:, :1]).any(axis=1)):
+        torn = np.zeros(-(-self.b // _CHUNK), bool)
+
+        def look(begin: int, end: int) -> None:
+            pairs = self.rows[begin:end].reshape(-1, 4, 2, 4, 2, 4, 2).transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, 8)
+            wide = (pairs >= 0) & (pairs & 1 == 1)
+            torn[begin // _CHUNK] = np.any(wide.any(axis=1) & (pairs != pairs[:, :1]).any(axis=1))
+
+        over_chunks(look, self.b, _CHUNK)
+        if torn.any():
             return [
                 Problem("rows", "have an incomplete wide cell", "2^3 cells at an even position, all eight the same")
             ]

@@ -10,11 +10,13 @@ import numpy as np
 
 from nerfbake import memory, progress
 from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.parallel import over_chunks
 from nerfbake.kernels.soundness import MAX_EDGE
 from nerfbake.scene.camera import Camera, require_samples
 from nerfbake.scene.image import Image
 
 RAYS = 1 << 18  # rays at a time: about 50 MB, and enough work for every core
+_ROWS = 32  # of pixels that a core averages at a time
 _PIXEL_BYTES = 20  # per pixel of the whole picture, which stays in memory while its parts are rendered
 
 
@@ -64,17 +66,32 @@ def _means(fine: Image, N: int) -> Image:
 
 def block_means(fine: Singles, N: int) -> Floats:
     """(H, W, ...) means of each N x N of (H N, W N, ...), with sums in a fixed order, the same on every CPU."""
-    total = np.zeros((len(fine) // N, fine.shape[1] // N, *fine.shape[2:]))
-    for y, x in product(range(N), range(N)):
-        total += fine[y::N, x::N]
-    return np.asarray(total / (N * N))
+    means = np.empty((len(fine) // N, fine.shape[1] // N, *fine.shape[2:]))
+
+    def add(begin: int, end: int) -> None:
+        rows, total = fine[N * begin : N * end], np.zeros_like(means[begin:end])
+        for y, x in product(range(N), range(N)):
+            total += rows[y::N, x::N]
+        means[begin:end] = total / (N * N)
+
+    over_chunks(add, len(means), _ROWS)
+    return means
 
 
 def mean_depth(alpha: Singles, depth: Singles, N: int) -> tuple[Singles, Singles]:
     """(H, W) the mean alpha and the mean depth, weighted by alpha, of each N x N pixels."""
-    total, far = np.zeros((len(alpha) // N, alpha.shape[1] // N)), np.zeros((len(alpha) // N, alpha.shape[1] // N))
-    for y, x in product(range(N), range(N)):
-        total += alpha[y::N, x::N]
-        far += alpha[y::N, x::N].astype(np.float64) * depth[y::N, x::N]
-    mean = np.divide(far, total, out=np.zeros_like(far), where=total > 0)
-    return (total / (N * N)).astype(np.float32), mean.astype(np.float32)
+    size = len(alpha) // N, alpha.shape[1] // N
+    mean_alpha, mean = np.empty(size, np.float32), np.empty(size, np.float32)
+
+    def add(begin: int, end: int) -> None:
+        rows = slice(N * begin, N * end)
+        total, far = np.zeros((end - begin, size[1])), np.zeros((end - begin, size[1]))
+        for y, x in product(range(N), range(N)):
+            weights = alpha[rows][y::N, x::N]
+            total += weights
+            far += weights.astype(np.float64) * depth[rows][y::N, x::N]
+        mean_alpha[begin:end] = total / (N * N)
+        mean[begin:end] = np.divide(far, total, out=np.zeros_like(far), where=total > 0)
+
+    over_chunks(add, len(mean), _ROWS)
+    return mean_alpha, mean

@@ -8,6 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.parallel import over_chunks
+
+_CHUNK = 1 << 18  # values that a core converts at a time
 
 LARGEST = 65504.0  # largest finite float16
 
@@ -18,8 +21,18 @@ def cast_values(values: npt.NDArray[Any], dtype: np.dtype[Any], *, what: str, as
     Raises InvalidScene if a value is too large for float16. what, asked: for the message, the scene that contains the
     value, and the option or type that requires float16.
     """
-    if dtype == np.float16 and values.dtype != np.float16 and values.size:
-        largest = float(np.abs(values).max())
-        if largest > LARGEST:
-            raise InvalidScene(Problem(what, f"holds {largest:g}", f"up to {LARGEST:g} for {asked}"))
-    return values.astype(dtype, copy=False)
+    if values.dtype == dtype or not values.size:
+        return values.astype(dtype, copy=False)
+    rows = max(1, _CHUNK * len(values) // values.size)
+    largest, cast = np.zeros(-(-len(values) // rows)), np.empty(values.shape, dtype)
+
+    def convert(begin: int, end: int) -> None:
+        if dtype == np.float16:
+            largest[begin // rows] = np.abs(values[begin:end]).max()
+        if not largest[begin // rows] > LARGEST:  # NaN is cast
+            cast[begin:end] = values[begin:end]
+
+    over_chunks(convert, len(values), rows)
+    if len(large := largest[largest > LARGEST]):
+        raise InvalidScene(Problem(what, f"holds {large.max():g}", f"up to {LARGEST:g} for {asked}"))
+    return cast

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem, UsageError
-from nerfbake.kernels.arrays import Ints
+from nerfbake.kernels.arrays import Ints, Singles
 from nerfbake.kernels.march.cells import EMPTY, Cells, cells_of
 from nerfbake.kernels.maths.affine import inverse, rotate
 from nerfbake.kernels.maths.elementary import log
@@ -35,6 +36,8 @@ from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 
+_ROWS = 1 << 13  # of a tree's leaves that a core copies at a time
+
 
 def build_field_from_n3tree(tree: N3Tree) -> RadianceField:
     """Build the field of a PlenOctree, with its nodes and its leaves with a density above 0.
@@ -49,6 +52,8 @@ def build_field_from_n3tree(tree: N3Tree) -> RadianceField:
     basis = renderable_basis(tree.data_format)
     data = tree.data.reshape(-1, tree.data_dim)
     held = np.flatnonzero(tree.leaf_mask.reshape(-1) & (data[:, -1] > 0))
+    values = np.empty((len(held), tree.data_dim), np.float32)
+    over_chunks(partial(_copy_rows, data, held, values), len(held), _ROWS)
     slots = np.full(tree.child.size, EMPTY, np.int32)
     slots[held] = -2 - np.arange(len(held), dtype=np.int32)
     for rows, children in zip(tree.levels[1:], tree.parent_cells[1:], strict=True):
@@ -60,7 +65,11 @@ def build_field_from_n3tree(tree: N3Tree) -> RadianceField:
         slots.reshape(tree.n, wide, wide, wide)[:, :N, :N, :N] = own
     cells = cells_of(slots, [bits] * len(tree.levels), radix=N if wide > N else 0)
     place = cells.edge * np.column_stack([np.diag(tree.invradius), tree.offset])
-    return memory.kept(RadianceField(cells, data[held].astype(np.float32), place, leaf_box(cells), basis))
+    return memory.kept(RadianceField(cells, values, place, leaf_box(cells), basis))
+
+
+def _copy_rows(data: npt.NDArray[Any], held: Ints, values: Singles, begin: int, end: int) -> None:
+    values[begin:end] = data[held[begin:end]]
 
 
 def build_field_from_octree(octree: SparseVoxelOctree) -> RadianceField:
