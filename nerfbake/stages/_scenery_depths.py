@@ -15,6 +15,7 @@ from nerfbake import memory
 from nerfbake.kernels.arrays import Bits, Floats, Points, Singles
 from nerfbake.kernels.fit.stereo import compare_planes, smooth_costs
 from nerfbake.kernels.maths.affine import rotate
+from nerfbake.kernels.parallel import over_chunks
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
 from nerfbake.stages._ray_targets import reduced_view
@@ -37,6 +38,7 @@ _CORRECTIONS = 6  # of a place in a photograph, until it is the one that a pinho
 _LEAST_VIEWS = 5  # fewer ones that are far apart agree as little as ones with wrong poses
 _LEAST_ALIKE = 0.1  # share of all pixels; with fewer ones, there is too little texture to tell whether poses are right
 _PIXEL_BYTES = 23  # a picture in grey, and two depth maps
+_CELLS = 1 << 14  # that a core looks at in all maps at a time
 _FAR_STEPS = 3  # of a depth that is known; farther surfaces lie between the last few planes
 
 
@@ -115,6 +117,16 @@ def vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:
     A surface lies in a cell if at least a third of the views that know the depth there see it in the cell, or if none
     of them knows it, but the pixels around suggest it.
     """
+    empty, surface = np.empty(len(centre), bool), np.empty(len(centre), bool)
+
+    def count(begin: int, end: int) -> None:
+        empty[begin:end], surface[begin:end] = _vote(maps, centre[begin:end], width)
+
+    over_chunks(count, len(centre), _CELLS)
+    return Votes(empty, surface)
+
+
+def _vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:
     through, at = (np.zeros(len(centre), np.int32) for _ in range(2))
     shown, guessed = (np.zeros(len(centre), bool) for _ in range(2))
     for camera, inverse, known, step in maps:

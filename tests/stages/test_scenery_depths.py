@@ -100,7 +100,10 @@ def test_unknown_depths_are_those_of_the_farther_side() -> None:
 
 
 @pytest.mark.parametrize(("z", "empty", "surface"), [(2.0, True, False), (0.0, False, True), (-2.0, False, False)])
-def test_cells_before_the_ground_are_empty(maps: list[DepthMap], z: float, empty: bool, surface: bool) -> None:
+def test_cells_before_the_ground_are_empty(
+    maps: list[DepthMap], z: float, empty: bool, surface: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nerfbake.stages._scenery_depths._CELLS", 20)
     centre = np.random.default_rng(1).uniform(-1, 1, (50, 3)) * (1, 1, 0) + (0, 0, z)
     votes = vote(maps, centre, 0.2)
     assert (votes.empty == empty).all()
