@@ -11,6 +11,7 @@ import json
 import os
 import sys
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple
 from benchmarks.captures import shrink_capture
 from benchmarks.processes import announced, measure_process
 from benchmarks.scenes import Scenes
-from nerfbake import Cameras, build_field, io, memory_limit
+from nerfbake import Cameras, Splats, build_field, io, memory_limit, orbit_cameras
 from nerfbake.bench.environment import environment
 from nerfbake.bench.measure import Result, Work, measure
 from nerfbake.bench.report import Report, Table
@@ -52,7 +53,12 @@ ROWS = (
     Row("plush 504x378, balanced", "captures/plush", ("--preset", "balanced"), 2),
     Row("chair 400x400, fast", "nerf_synthetic/chair", ("--preset", "fast"), device="cpu"),
 )
+SHOWN = (  # name, file and cameras, or an orbit
+    ("chair 256^3", "plenoctree/chair/chair_sh9.npz", "nerf_synthetic/chair/transforms_test.json"),
+    ("biker, 152,746 splats", "splats/biker.spz", ""),
+)
 FRAMES, EDGE = 100, 800
+_ORBIT = 8
 
 
 def reports(scenes: Scenes, *, rounds: int = 1) -> dict[str, list[Report]]:
@@ -61,7 +67,7 @@ def reports(scenes: Scenes, *, rounds: int = 1) -> dict[str, list[Report]]:
     open_device(DEVICE)  # raises if there is none
     with TemporaryDirectory(prefix="nerfbake-gpu-") as name:
         fits = Table("Fits", FITS, [_fitted(row, scenes, Path(name)) for row in ROWS])
-    renders = Table("Pictures", RENDERS, [_rendered(scenes, device) for device in (DEVICE, "cpu")])
+    renders = Table("Pictures", RENDERS, [_rendered(*each, scenes) for each in product(SHOWN, (DEVICE, "cpu"))])
     report = Report("A graphics card", environment("numpy", "numba", "wgpu"), [fits, renders], NOTES)
     return {"gpu": [report]}
 
@@ -89,29 +95,32 @@ def _run(words: Sequence[str]) -> Result:
     return measure_process(sys.executable, "-m", "nerfbake", *words, "--json", "-q", "--force", keep=True)
 
 
-def _rendered(scenes: Scenes, device: str) -> list[Any]:
-    frames = FRAMES if device != "cpu" else 4
-    with announced(f"rendering {frames} pictures on {device}"):
-        found = measure(
-            rendering, path=str(scenes.chair), cameras=str(scenes.test_cameras), device=device, frames=frames, edge=EDGE
-        )
+def _rendered(shown: tuple[str, str, str], device: str, scenes: Scenes) -> list[Any]:
+    (name, file, cameras), frames = shown, FRAMES if device != "cpu" else 4
+    with announced(f"rendering {frames} pictures of {name} on {device}"):
+        path, seen = str(scenes.data / file), str(scenes.data / cameras) if cameras else None
+        found = measure(rendering, path=path, cameras=seen, device=device, frames=frames, edge=EDGE)
     if found.error:
-        return [f"chair: {found.error}", device, None, None, None]
+        return [f"{name}: {found.error}", device, None, None, None]
     each = found.seconds / frames
-    return ["chair 256^3", found.facts["device"], frames, 1000 * each, f"{1 / each:.1f}"]
+    return [name, found.facts["device"], frames, 1000 * each, f"{1 / each:.1f}"]
 
 
-def rendering(path: str, cameras: str, device: str, frames: int, edge: int) -> Work:
+def rendering(path: str, cameras: str | None, device: str, frames: int, edge: int) -> Work:
     """The work of rendering pictures one after the other; called in a child process."""
     with memory_limit(1 << 46):
-        field = build_field(io.load(path))
-    views = [camera.resized(edge, edge) for camera in io.load(cameras, Cameras).cameras]
+        scene = io.load(path)
+        scene = scene if isinstance(scene, Splats) else build_field(scene)
+    if cameras is None:
+        views = list(orbit_cameras(scene, frames=_ORBIT, width=edge, height=edge).cameras)
+    else:
+        views = [camera.resized(edge, edge) for camera in io.load(cameras, Cameras).cameras]
     views = [views[number % len(views)] for number in range(frames)]
     gpu = open_device(device)
     render = renderer_with(SILENT, gpu)
-    render(field, views[0])
+    render(scene, views[0])
 
     def run() -> int:
-        return sum(1 for _ in render.each(field, views))
+        return sum(1 for _ in render.each(scene, views))
 
     return Work(run, lambda _: {"device": "cpu" if gpu is None else gpu.name})

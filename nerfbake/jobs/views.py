@@ -10,6 +10,7 @@ from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.arrays import Floats
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.function_field import FunctionField
+from nerfbake.scene.image import Image
 from nerfbake.scene.mesh import Meshes
 from nerfbake.scene.origin import no_origin, origin_text
 from nerfbake.scene.page import COVER
@@ -124,6 +125,7 @@ def picture_views(
 
     def pictures() -> Iterator[Any]:
         views = progress.each(cameras.cameras)
+        images: Iterator[Image]
         if isinstance(scene, Stage1):
             images = (render_stage1(scene, camera, background=None, samples=samples) for camera in views)
         else:

@@ -42,7 +42,9 @@ class KernelRenderer:
     """Renders with the kernels of the CPU: the same bytes on every CPU."""
 
     def __call__(self, scene: Rendered, camera: Camera, **options: Any) -> Image:
-        return (render_splats if isinstance(scene, Splats) else render_field)(scene, camera, **options)
+        if isinstance(scene, Splats):
+            return render_splats(scene, camera, **options)
+        return render_field(scene, camera, **options)
 
     def each(self, scene: Rendered, cameras: Iterable[Camera], **options: Any) -> Iterator[Image]:
         return (self(scene, camera, **options) for camera in cameras)
@@ -79,7 +81,10 @@ class DeviceRenderer:
 
     def _start(self, scene: Rendered, camera: Camera, options: dict[str, Any]) -> Callable[[], Image]:
         """Start the work of a picture. The result waits for it and returns the picture."""
-        view = (_view_of_splats if isinstance(scene, Splats) else _view_of)(scene, camera, **options)
+        if isinstance(scene, Splats):
+            view = _view_of_splats(scene, camera, **options)
+        else:
+            view = _view_of(scene, camera, **options)
         placed = self._placed(scene)
 
         def on_cpu() -> Image:
@@ -108,8 +113,10 @@ class DeviceRenderer:
             return None
         if scene not in self._scenes:
             try:
-                on_device = SplatsOnDevice if isinstance(scene, Splats) else FieldOnDevice
-                self._scenes[scene] = on_device(self._gpu, scene)
+                if isinstance(scene, Splats):
+                    self._scenes[scene] = SplatsOnDevice(self._gpu, scene)
+                else:
+                    self._scenes[scene] = FieldOnDevice(self._gpu, scene)
                 if not self._named:
                     self._tell(f"renders on {self._gpu.name}")
                 self._named = True

@@ -15,6 +15,7 @@ from nerfbake import build_field, orbit_cameras, sample_n3tree, save
 from nerfbake.errors import UsageError
 from tests.support.device import software
 from tests.support.photographs import write_scene
+from tests.support.splats import ball_of_splats
 
 
 @pytest.mark.long
@@ -26,6 +27,8 @@ def test_small_fits_and_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     save(data / "plenoctree/chair/chair_sh9.npz", tree)
     cameras = orbit_cameras(build_field(tree), frames=2, width=8, height=8)
     save(data / "nerf_synthetic/chair/transforms_test.json", cameras)
+    (data / "splats").mkdir()
+    save(data / "splats/biker.spz", ball_of_splats(50))
     write_scene(data / "capture")
     options = ("--epochs", "cells=8,scale=2", "--basis", "SH1")
     rows = gpu.Row("small", "capture", options), gpu.Row("absent", "nowhere", options)
@@ -41,7 +44,7 @@ def test_small_fits_and_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert fits[0]["device"] == software()
     assert float(fits[0]["PSNR dB"]) > 15
     assert fits[1]["fit"].startswith("absent: ")
-    assert [row["device"] for row in pictures] == [software(), "cpu"]
+    assert [row["device"] for row in pictures] == [software(), "cpu"] * 2
 
 
 def test_without_a_card_the_error_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,7 @@ from nerfbake.jobs import devices
 from nerfbake.jobs.devices import describe_devices, renderer_on
 from nerfbake.stages.renderers import KERNELS
 from tests.support.device import software
+from tests.support.splats import ball_of_splats
 
 
 @pytest.fixture(autouse=True)
@@ -64,9 +65,14 @@ def test_a_named_device_renders_what_the_cpu_renders(capsys: pytest.CaptureFixtu
         "splats a.npz OUT.ply --frames 2 --edge 16",
         "svo a.npz OUT.svo.pb --min-psnr 30",
         "view a.npz OUT.html --data exact",
+        "compare a.ply a.ply --size 16x16",
+        "render a.ply --out OUT.png",
+        "splats a.ply OUT.ply --count 5 --frames 2 --edge 16",
+        "splats a.ply OUT.spz --edge 16",
+        "view a.ply OUT.html --as splats",
     ],
 )
-def test_every_command_that_renders_a_field_does_it_on_the_device(
+def test_every_command_that_renders_a_field_or_splats_does_it_on_the_device(
     line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     class Refusing:
@@ -84,6 +90,7 @@ def test_every_command_that_renders_a_field_does_it_on_the_device(
     monkeypatch.setattr("nerfbake.jobs.refits.open_device", str)
     monkeypatch.setattr(devices, "DeviceRenderer", Refusing)
     save("a.svo.pb", build_octree(sample_n3tree(resolution=8)))
+    save("a.ply", ball_of_splats(20))
     Path("a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     assert main.run([*line.split(), "--device", "Radeon", "-q"]) == 2
     assert capsys.readouterr().err.strip().endswith("asked to render on Radeon")

@@ -68,7 +68,7 @@ def test_photographs_need_their_capture(folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_a_field_becomes_splats(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(splat_pages, "SplatsViews", lambda device: SplatsViews(frames=4, edge=24, device=device))
+    monkeypatch.setattr(splat_pages, "SplatsViews", lambda: SplatsViews(frames=4, edge=24))
     monkeypatch.setattr(splat_pages, "SplatsOptions", lambda: SplatsOptions(epochs=1))
     page = view_splats("a.npz", "a.html", steps=listener)
     assert isinstance(page.content, PageSplats)
