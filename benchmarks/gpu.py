@@ -109,8 +109,8 @@ def _rendered(shown: tuple[str, str, str], device: str, scenes: Scenes) -> list[
 def rendering(path: str, cameras: str | None, device: str, frames: int, edge: int) -> Work:
     """The work of rendering pictures one after the other; called in a child process."""
     with memory_limit(1 << 46):
-        scene = io.load(path)
-        scene = scene if isinstance(scene, Splats) else build_field(scene)
+        read = io.load(path)
+        scene = read if isinstance(read, Splats) else build_field(read)
     if cameras is None:
         views = list(orbit_cameras(scene, frames=_ORBIT, width=edge, height=edge).cameras)
     else:
