@@ -40,7 +40,7 @@ def test_ctrl_c_writes_the_current_splats(folder: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.usefixtures("folder")
 def test_splats_that_cannot_be_measured_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*arguments: Any) -> None:
+    def fail(*arguments: Any, **options: Any) -> None:
         raise MemoryLimit("the pictures", 2, 1)
 
     monkeypatch.setattr("nerfbake.jobs.splats.measure_views", fail)
@@ -100,7 +100,7 @@ def test_levels_are_kept_after_ctrl_c_and_after_a_missed_limit(folder: Path, mon
         bake_splats("a.npz", out, PICTURES, options=options)
     assert [level.n for level in load("web.partial", SplatLevels).levels] == [level.n for level in rejected[:2]]
 
-    def fail(*arguments: Any) -> None:
+    def fail(*arguments: Any, **options: Any) -> None:
         raise MemoryLimit("the pictures", 2, 1)
 
     monkeypatch.setattr(views_to_splats, "fit_splats", whole)

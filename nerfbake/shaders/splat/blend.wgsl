@@ -18,7 +18,7 @@ const CHUNK = 256u;  // splats that are loaded at a time
 
 var<workgroup> near: array<vec4f, 768>;    // of each splat: place from the tile's corner; form; shade
 var<workgroup> limits: vec2u;              // the tile's entries
-var<workgroup> lastOpen: atomic<u32>;      // 1 + the last chunk after which a pixel is open
+var<workgroup> lastOpen: atomic<u32>;      // the number of the last chunk after which a pixel is open, from 1
 var<workgroup> isOpen: u32;
 
 // The first entry with this tile or a later one.
@@ -60,6 +60,8 @@ fn blend(
     var place = vec2f(inside) + 0.5;
     if view.bent != 0u && shown { place = places[number]; }
     if lane < 2u { limits[lane] = firstOf(tile + lane); }
+    // WGSL says that workgroup memory starts at 0; with wgpu 0.32.0 on lavapipe it has what was there before.
+    if lane == 0u { atomicStore(&lastOpen, 0u); }
     let begin = workgroupUniformLoad(&limits).x;
     let end = workgroupUniformLoad(&limits).y;
 
@@ -93,7 +95,6 @@ fn blend(
             }
         }
         chunk++;
-        // All store the same number. atomicMax() loses some here on lavapipe of Mesa 22.3.6.
         if live > 0.0 { atomicStore(&lastOpen, chunk); }
         workgroupBarrier();
         if lane == 0u { isOpen = select(0u, 1u, atomicLoad(&lastOpen) == chunk); }
