@@ -109,7 +109,7 @@ def _rendered(shown: tuple[str, str, str], device: str, scenes: Scenes) -> list[
 def rendering(path: str, cameras: str | None, device: str, frames: int, edge: int) -> Work:
     """The work of rendering pictures one after the other; called in a child process."""
     with memory_limit(1 << 46):
-        read = io.load(path)
+        read: Any = io.load(path)
         scene = read if isinstance(read, Splats) else build_field(read)
     if cameras is None:
         views = list(orbit_cameras(scene, frames=_ORBIT, width=edge, height=edge).cameras)
