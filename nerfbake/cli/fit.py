@@ -256,6 +256,9 @@ def _facts(source: str, fitted: FitResult) -> dict[str, Any]:
         "seconds": fitted.passed,
         "views": [view._asdict() for view in fitted.views],
         "curve": [point._asdict() for point in fitted.curve],
+        "overlap": fitted.overlap,
+        "agreement": fitted.agreement,
+        "alone": list(fitted.alone),
     }
 
 

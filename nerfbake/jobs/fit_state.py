@@ -24,6 +24,7 @@ from nerfbake.scene.views import Views
 
 if TYPE_CHECKING:
     from nerfbake.device.gpu import Gpu
+    from nerfbake.stages.overlap import Overlap
     from nerfbake.stages.views_to_field import FitState
 
 HANDFUL = 4  # held-out views that are measured during a fit
@@ -88,12 +89,14 @@ class FitRun:
     """Follows the states of a fit, and measures its quality on a few of the held-out views.
 
     samples: rays along each edge of a pixel with which these are rendered. gpu: the graphics device that does the work,
-    if any.
+    if any. overlap: of the training views, if it was measured.
     """
 
     def __init__(self, split: SplitViews, schedule: Schedule, samples: int, gpu: Gpu | None = None) -> None:
         self.gpu = gpu
         held_out = split.held_out
+        self.overlap: Overlap | None = None
+        self._names = [camera.name for camera in split.training.cameras.cameras]
         self._views, self._schedule, self._samples = len(split.training.pictures), schedule, samples
         count = len(held_out.pictures)
         self._which = f"{min(count, HANDFUL)} of {count} held-out views"
@@ -106,6 +109,13 @@ class FitRun:
     def device(self) -> str:
         """Name of the graphics device that does the work, or cpu."""
         return "cpu" if self.gpu is None else self.gpu.name
+
+    @property
+    def shared(self) -> tuple[float | None, float | None, tuple[str, ...]]:
+        """The numbers of the overlap, and the names of the views that are alone."""
+        if self.overlap is None:
+            return None, None, ()
+        return self.overlap.share, self.overlap.agreement, tuple(self._names[view] for view in self.overlap.alone)
 
     def go_on_without_device(self, state: FitState | None) -> str:
         """After an error of the device, let the CPU do the rest; return from where, as text.

@@ -108,6 +108,10 @@ class FitResult(MeasuredViews):
     device    name of the graphics device that did the work, or cpu
     worked    CPU seconds, without compiling kernels and without measuring; passed: the same in wall-clock seconds
     curve     quality during the fit
+    overlap   of what a photograph with scenery shows, the share that two others show, too: a mean from 0 to 1
+    agreement of the pixels that look alike in neighbouring photographs, the share whose depth others confirm, 0 to 1
+    alone     names of the photographs whose places no other one shows
+              The last three are only measured for scenery at the start of a fit; else None, None, ()
     """
 
     path: str
@@ -119,6 +123,9 @@ class FitResult(MeasuredViews):
     worked: float
     passed: float
     curve: tuple[CurvePoint, ...]
+    overlap: float | None
+    agreement: float | None
+    alone: tuple[str, ...]
 
     @property
     def corrected(self) -> float:
@@ -341,7 +348,8 @@ def _fit(
             try:
                 for number, state in enumerate(fit_field(views, start=start, gpu=run.gpu, **chosen)):
                     if number == 0 and start is None:
-                        _tell_agreement(steps, source, state.agreement)
+                        run.overlap = state.overlap
+                        _tell_overlap(steps, source, run)
                     with progress.listening(None):  # measuring does not report progress
                         ended = run.follow(state)
                     if checkpoints is not None and (ended or interrupted.is_set() or checkpoints.is_due):
@@ -356,11 +364,16 @@ def _fit(
                 start = state
 
 
-def _tell_agreement(steps: Steps, source: Source, agreement: float | None) -> None:
-    """Print a line if pictures agree on so few depths that their poses are probably wrong."""
+def _tell_overlap(steps: Steps, source: Source, run: FitRun) -> None:
+    """Print how much pictures with scenery show together; if they do not agree, that the poses are probably wrong."""
+    share, agreement, alone = run.shared
+    if share is not None:
+        steps.say(f"{source.name}: on average, two other pictures show {share:.0%} of what a picture shows")
     if agreement is not None and agreement < _AGREEMENT:
         found = f"neighbouring pictures agree on the depth of {agreement:.0%} of what looks alike in them"
         steps.say(f"{source.name}: {found}; right poses mostly give 16% or more; {_CHECK}")
+    elif alone:
+        steps.say(f"{source.name}: hardly any other picture shows what these show: {', '.join(alone)}")
 
 
 def _start(steps: Steps, checkpoints: CheckpointWriter | None, run: FitRun) -> FitState | None:
@@ -442,7 +455,7 @@ def _judged(
         views = measure_views(scene, held_out, samples=samples, render=renderer_with(steps, run.gpu))
         shapes = measure_silhouettes(scene, held_out) if isinstance(scene, Meshes) else ()
     facts = target.path, str(loaded.scene), loaded.size, str(schedule), run.device
-    fitted = FitResult(*facts, views, worked, passed, tuple(run.curve))
+    fitted = FitResult(*facts, views, worked, passed, tuple(run.curve), *run.shared)
     io.report_result(psnr=fitted.psnr)
     corrected = f" ({fitted.corrected:.2f} dB with their exposures corrected)" if options.gains(held_out) else ""
     rays = replace(held_out.cameras, samples=samples).rays_text

@@ -25,6 +25,7 @@ from nerfbake.scene.n3tree import MAX_SHELLS
 from nerfbake.scene.schedule import RESOLUTIONS, Schedule, parse_schedule
 from nerfbake.stages._bricks import BrickCells, field_of_cells, lattice_frame, with_corners
 from nerfbake.stages._fit_devices import CpuFit, FitDevice
+from nerfbake.stages.overlap import Overlap
 
 BRICKS = ("top", "slots", "first", "places", "values")
 COUNTERS = ("stage", "epoch", "view", "built", "divided", "seed")
@@ -130,8 +131,8 @@ class FitState:
     divided        1 if there are cells of two widths, else 0
     gains          (views, 3): the factor for each channel between the field's colours and those of each view, or (0, 3)
                    if the views have the same exposure
-    agreement      of the pixels that look alike in neighbouring pictures, the share whose depth other pictures confirm;
-                   None: not measured, as for objects and for a state from a file
+    overlap        how much pictures with scenery show together; None: not measured, as for objects and for a state from
+                   a file
     device         what runs the steps; the arrays of the cells are current after read_back()
     """
 
@@ -146,7 +147,7 @@ class FitState:
     built: int = 0
     divided: int = 0
     gains: Floats = attribute(default_factory=lambda: np.ones((0, 3)))
-    agreement: float | None = None
+    overlap: Overlap | None = None
     device: FitDevice = attribute(default_factory=CpuFit)
 
     def __post_init__(self) -> None:

@@ -15,6 +15,7 @@ from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid, lattice_frame
 from nerfbake.stages._scenery_depths import find_depths, vote
 from nerfbake.stages._scenery_points import reach_of
+from nerfbake.stages.overlap import Overlap
 
 SHELLS = 6  # with the inner cube: the outermost one is 32 times as wide as the inner cube
 FOG = 0.01  # density per cell width
@@ -26,11 +27,11 @@ _CELL_BYTES = 40
 
 
 class SceneryStart(NamedTuple):
-    """The inner cube (2, 3), the cells that a fit starts from, and how far pictures agree on depths (see Depths)."""
+    """The inner cube (2, 3), the cells that a fit starts from, and how much the pictures show together."""
 
     box: Points
     cells: BrickCells
-    agreement: float | None
+    overlap: Overlap
 
 
 def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> SceneryStart:
@@ -44,14 +45,14 @@ def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> 
     """
     box = inner_cube_of(views.cameras) if box is None else box
     with memory.scope():
-        solid, surface, agreement = _visible(views, box, resolution)
+        solid, surface, overlap = _visible(views, box, resolution)
     if not solid.any():
         raise InvalidScene(Problem("views", "see no part of the box together", "cameras that look at the same place"))
     cells = cells_of_solid(solid, box, B, FOG)
     shell, corner = cell_places(cells.bricks)
     _thicken(cells, surface[shell * resolution + corner[:, 0], corner[:, 1], corner[:, 2]], _SURFACE)
     close_wall(cells)
-    return SceneryStart(box, cells, agreement)
+    return SceneryStart(box, cells, overlap)
 
 
 def wall_of(cells: BrickCells) -> Bits:
@@ -94,9 +95,9 @@ def resolved(cells: BrickCells, views: Views) -> Bits:
     return found
 
 
-def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, float | None]:
-    """Return the cells (S R, R, R) of all shells that the fit starts from, those of them with a surface, and how far
-    pictures agree on depths.
+def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, Overlap]:
+    """Return the cells (S R, R, R) of all shells that the fit starts from, those of them with a surface, and how much
+    the pictures show together.
     """
     memory.require(f"fog in {SHELLS} shells of {R}^3 cells", _CELL_BYTES * R**3 * SHELLS)
     low, size, width = lattice_frame(box, R, SHELLS)
@@ -129,7 +130,7 @@ def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, float | Non
             solid = wall
         found.append(solid)
         surfaces.append(surface)
-    return np.concatenate(found), np.concatenate(surfaces), depths.agreement
+    return np.concatenate(found), np.concatenate(surfaces), depths.overlap
 
 
 def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:

@@ -20,14 +20,12 @@ from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
 from nerfbake.stages._ray_targets import reduced_view
 from nerfbake.stages._scenery_points import LEAST_POINTS, reach_of
+from nerfbake.stages._scenery_sky import distance_within, find_sky, upward
+from nerfbake.stages.overlap import Overlap, neighbours
 
 _EDGE, _EDGE_OF_MANY, _MANY = 128, 96, 32  # most pixels of a picture's shorter edge; with more views than _MANY
 _LEAST_EDGE = 64  # in smaller pictures, the pixels that are compared reach across too much
 _PLANES = 24, 128  # least and most planes
-_OTHERS = 4  # pictures that a picture is compared with
-_SINE = 0.14  # of the angle between two views of a place that shows its depth best
-_SHARED = 0.05  # least worth of a neighbour, see _neighbours()
-_SAMPLES = 7  # places along an edge of a picture that tell which neighbours show them
 _ALIKE = 0.5  # least cross-correlation of a depth that counts
 _STEPS, _SAME = 1.5, 0.015  # depths of two pictures are the same within so many planes, or this share of them
 _MARGIN = 0.03  # share of a depth within which the surface lies
@@ -37,8 +35,10 @@ _CLOSE = 0.25  # the same without points, of the distance that the cameras look 
 _CORRECTIONS = 6  # of a place in a photograph, until it is the one that a pinhole shows elsewhere
 _LEAST_VIEWS = 5  # fewer ones that are far apart agree as little as ones with wrong poses
 _LEAST_ALIKE = 0.1  # share of all pixels; with fewer ones, there is too little texture to tell whether poses are right
-_PIXEL_BYTES = 23  # a picture in grey, and two depth maps
+_CONFIRMED = 0.12  # of the pixels that look alike, the least share whose depth is confirmed unless a picture is alone
+_PIXEL_BYTES = 28  # a picture in grey, two depth maps, and the sky
 _CELLS = 1 << 14  # that a core looks at in all maps at a time
+_HALF_DIAGONAL = 0.87  # of a cell
 _FAR_STEPS = 3  # of a depth that is known; farther surfaces lie between the last few planes
 
 
@@ -49,24 +49,30 @@ class DepthMap(NamedTuple):
     inverse  (H, W) inverse depths along the optical axis, of all pixels
     known    (H, W) bool: the neighbours have the same depth here; other depths are the farthest ones around
     step     between two planes
+    sky      (H, W) pixels to the nearest pixel that does not show the sky, or less; 0: the pixel does not
     """
 
     camera: Camera
     inverse: Floats
     known: Bits
     step: float
+    sky: Singles
+
+
+class _Picture(NamedTuple):
+    """A picture (H, W) in grey as a pinhole shows it, its pixels that are used, and those that may show the sky."""
+
+    camera: Camera
+    grey: Singles
+    used: Bits
+    sky: Bits
 
 
 class Depths(NamedTuple):
-    """What pictures show together.
-
-    maps       of the pictures that share a depth with others
-    agreement  0..1: of the pixels that look like a place in a neighbouring picture, the share whose depth other
-               pictures confirm; None: too few pictures or pixels to say. It is low if poses are wrong.
-    """
+    """What pictures show together: the maps of those that share a depth with others, and how much all of them do."""
 
     maps: list[DepthMap]
-    agreement: float | None
+    overlap: Overlap
 
 
 class Votes(NamedTuple):
@@ -83,15 +89,19 @@ def find_depths(views: Views, focus: float) -> Depths:
     """
     cameras = views.cameras.cameras
     edge = min(min(camera.width, camera.height) for camera in cameras)
+    ranges = [_distances(views.cameras, number, focus) for number in range(len(cameras))]
+    near, shares = zip(*(neighbours(cameras, number, ranges[number][1]) for number in range(len(cameras))), strict=True)
+    alone, share = {number for number, others in enumerate(near) if not others}, sum(shares) / len(cameras)
     if edge < _LEAST_EDGE:
-        return Depths([], None)
+        return Depths([], Overlap(share, None, tuple(alone)))
     factor = -(-edge // (_EDGE if len(cameras) <= _MANY else _EDGE_OF_MANY))
     pixels = sum(-(-camera.width // factor) * -(-camera.height // factor) for camera in cameras)
     memory.hold(f"depths of {len(cameras)} pictures", _PIXEL_BYTES * pixels)
-    pictures = [_without_lens(*reduced_view(views, number, factor)) for number in range(len(cameras))]
-    ranges = [_distances(views.cameras, number, focus) for number in range(len(cameras))]
-    near = [_neighbours(cameras, number, ranges[number][1]) for number in range(len(cameras))]
-    far = reach_of(views.cameras).far
+    up, far = upward(views.cameras), reach_of(views.cameras).far
+    pictures = [
+        _without_lens(*reduced_view(views, number, factor), up if np.isinf(far[number]) else None)
+        for number in range(len(cameras))
+    ]
     ends = [(1 / ranges[number][0], 1 / float(far[number])) for number in range(len(cameras))]
     swept = [_swept(pictures, number, near[number], ends[number]) for number in range(len(cameras))]
     made, alike, agreed = [], 0, 0
@@ -104,11 +114,16 @@ def find_depths(views: Views, focus: float) -> Depths:
             if other is not None:
                 agreeing += _agrees(own, other)
         known = own.known & (agreeing >= min(2, len(others)))
+        if own.known.sum() >= _LEAST_ALIKE * known.size and known.sum() < _CONFIRMED * own.known.sum():
+            alone.add(number)
         alike, agreed = alike + int(own.known.sum()), agreed + int(known.sum())
-        if known.any():
-            made.append(own._replace(inverse=_filled(own.inverse, known), known=known))
+        sky = distance_within(pictures[number].sky, known)
+        known &= sky == 0
+        if known.any() or sky.any():
+            inverse = np.where(sky > 0, -np.inf, _filled(own.inverse, known))
+            made.append(own._replace(inverse=inverse, known=known, sky=sky))
     enough = len(cameras) >= _LEAST_VIEWS and alike >= _LEAST_ALIKE * pixels
-    return Depths(made, agreed / alike if enough else None)
+    return Depths(made, Overlap(share, agreed / alike if enough else None, tuple(sorted(alone))))
 
 
 def vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:
@@ -129,7 +144,7 @@ def vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:
 def _vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:
     through, at = (np.zeros(len(centre), np.int32) for _ in range(2))
     shown, guessed = (np.zeros(len(centre), bool) for _ in range(2))
-    for camera, inverse, known, step in maps:
+    for camera, inverse, known, step, sky in maps:
         along = rotate(centre - camera.pose[:3, 3], np.ascontiguousarray(camera.pose[:3, :3].T))
         depth = -along[:, 2]
         ahead = np.maximum(depth, 1e-9)
@@ -139,11 +154,13 @@ def _vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:
         cells = np.flatnonzero(inside)
         pixel = row[cells].astype(np.int64), column[cells].astype(np.int64)
         surface, sure, depth = inverse[pixel], known[pixel], depth[cells]
+        # The whole cell is before the sky.
+        clear = sky[pixel] * depth > _HALF_DIAGONAL * width * max(camera.fx, camera.fy)
         margin = np.maximum(_MARGIN * surface, step / 2)
         before = 1 / (depth + width) > surface + margin
         behind = 1 / np.maximum(depth - width, 1e-9) < surface - margin
         within, near = ~before & ~behind, surface > _FAR_STEPS * step
-        through[cells] += before & sure
+        through[cells] += before & sure | clear
         at[cells] += within & sure
         shown[cells] |= within & sure & near
         guessed[cells] |= within & ~sure & near
@@ -163,45 +180,18 @@ def _distances(cameras: Cameras, number: int, focus: float) -> tuple[float, floa
     return _CLOSE * focus, focus
 
 
-def _neighbours(cameras: tuple[Camera, ...], number: int, distance: float) -> list[int]:
-    """Return the cameras that show most of what a camera shows at a distance, at a good angle, the best one first."""
-    own, steps = cameras[number], (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    x, y = np.meshgrid((steps * own.width - own.cx) / own.fx, (steps * own.height - own.cy) / own.fy)
-    looks = np.stack([x.ravel(), -y.ravel(), np.full(x.size, -1.0)], axis=1)
-    places = rotate(distance * looks, own.pose[:3, :3])
-    poses = np.stack([camera.pose for camera in cameras])
-    away = (own.pose[:3, 3] + places)[:, None] - poses[:, :3, 3]  # (places, cameras, 3)
-    across, up, back = (
-        sum(away[..., axis] * poses[:, axis, column] for axis in range(3)) for column in range(3)
-    )  # each (places, cameras)
-    optics = np.array([(each.fx, each.fy, each.cx, each.cy, each.width, each.height) for each in cameras])
-    fx, fy, cx, cy, wide, high = optics.T
-    ahead = np.maximum(-back, 1e-9)
-    column, row = fx * across / ahead + cx, cy - fy * up / ahead
-    inside = (back < 0) & (column >= 0) & (column < wide) & (row >= 0) & (row < high)
-    turned = np.square(np.cross(places[:, None], away)).sum(axis=-1)
-    lengths = np.square(places).sum(axis=-1)[:, None] * np.square(away).sum(axis=-1)
-    sine = np.sqrt(turned / np.maximum(lengths, 1e-30))
-    worth = (inside * np.minimum(sine / _SINE, _SINE / np.maximum(sine, 1e-9))).sum(axis=0) / len(places)
-    worth[number] = 0
-    order = np.argsort(-worth, kind="stable")[:_OTHERS]
-    return [int(other) for other in order if worth[other] >= _SHARED]
-
-
-def _swept(
-    pictures: list[tuple[Camera, Singles, Bits]], number: int, near: list[int], ends: tuple[float, float]
-) -> DepthMap | None:
+def _swept(pictures: list[_Picture], number: int, near: list[int], ends: tuple[float, float]) -> DepthMap | None:
     """Return the depths on which a picture and its neighbours are most alike; those that are alike are `known`.
 
     ends: inverse depths of the nearest and of the farthest plane.
     """
     if not near:
         return None
-    camera, grey, used = pictures[number]
+    camera, grey, used, _ = pictures[number]
     turn, moves, turns, shift = camera.pose[:3, :3], [], [], 0.0
     fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
     lift = np.array([[1 / fx, 0, -cx / fx], [0, -1 / fy, cy / fy], [0, 0, -1]])
-    for other in (pictures[k][0] for k in near):
+    for other in (pictures[k].camera for k in near):
         lower = np.array([[other.fx, 0, -other.cx], [0, -other.fy, -other.cy], [0, 0, -1]])
         back = np.ascontiguousarray(other.pose[:3, :3].T)
         between = camera.pose[:3, 3] - other.pose[:3, 3]
@@ -212,7 +202,7 @@ def _swept(
     memory.require(f"{count} planes of {grey.shape[1]}x{grey.shape[0]} pixels", 16 * count * grey.size)
     step = (ends[0] - ends[1]) / (count - 1)
     planes = ends[1] + step * np.arange(count, dtype=np.float64)
-    others, seen = np.stack([pictures[k][1] for k in near]), np.stack([pictures[k][2] for k in near])
+    others, seen = np.stack([pictures[k].grey for k in near]), np.stack([pictures[k].used for k in near])
     alike = np.empty((count, *grey.shape), np.float32)
     compare_planes(grey, others, seen, np.stack(turns), np.stack(moves), planes, alike)
     alike = np.ascontiguousarray(alike.transpose(1, 2, 0))
@@ -223,7 +213,7 @@ def _swept(
     bend = low - 2 * middle + high
     offset = np.where((bend > 0) & (best == inner), (low - high) / np.maximum(2 * bend, 1e-9), 0)
     inverse = ends[1] + step * (best + np.clip(offset, -0.5, 0.5))
-    return DepthMap(camera, inverse, (_taken(alike, best) > _ALIKE) & used, step)
+    return DepthMap(camera, inverse, (_taken(alike, best) > _ALIKE) & used, step, np.zeros(grey.shape, np.float32))
 
 
 def _product(a: Floats, b: Floats) -> Floats:
@@ -268,16 +258,17 @@ def _filled(values: Floats, known: Bits) -> Floats:
     return np.where(known, values, wide)
 
 
-def _without_lens(camera: Camera, image: Singles) -> tuple[Camera, Singles, Bits]:
-    """Return a picture (H, W) in grey as a pinhole would show it, and its pixels that are used."""
+def _without_lens(camera: Camera, image: Singles, up: Floats | None) -> _Picture:
+    """Return a picture (H, W, 4) as a pinhole would show it. up: None if it shows no sky."""
     grey = (image[..., 0] + image[..., 1] + image[..., 2]) * np.float32(1 / 3)
     used = image[..., 3] >= 1
+    sky = np.zeros_like(used) if up is None else find_sky(camera, image, up)
     if not camera.bends:
-        return camera, grey, used
+        return _Picture(camera, grey, used, sky)
     plane = camera.plane()
     straight = replace(camera, lens=None)
     if plane is None:  # wider than half of all directions
-        return straight, grey, np.zeros_like(used)
+        return _Picture(straight, grey, np.zeros_like(used), np.zeros_like(used))
     height, width = grey.shape
     y, x = np.mgrid[:height, :width].astype(np.float64)
     # The pixel of the photograph that shows what a pinhole shows at x, y, by repeated correction.
@@ -287,10 +278,11 @@ def _without_lens(camera: Camera, image: Singles) -> tuple[Camera, Singles, Bits
         error = x - _interpolated(shown[0], column, row), y - _interpolated(shown[1], column, row)
         column, row = np.clip(column + error[0], -9, width + 9), np.clip(row + error[1], -9, height + 9)
     inside = (column >= 0) & (row >= 0) & (column <= width - 1) & (row <= height - 1)
-    nearest = (
+    nearest = tuple(
         np.clip(np.rint(place), 0, most - 1).astype(np.int64) for place, most in ((row, height), (column, width))
     )
-    return straight, _interpolated(grey, column, row).astype(np.float32), inside & used[tuple(nearest)]
+    straightened = _interpolated(grey, column, row).astype(np.float32)
+    return _Picture(straight, straightened, inside & used[nearest], inside & sky[nearest])
 
 
 def _interpolated(values: npt.NDArray[np.floating], column: Floats, row: Floats) -> Floats:

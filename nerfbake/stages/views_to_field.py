@@ -153,7 +153,7 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
     B = coefficients(schedule, kind, 0)
     if views.scenery:
         start = start_scenery(views, box, schedule[0].cells, B)
-        return FitState(schedule, kind, seed, start.box, start.cells, gains=gains, agreement=start.agreement)
+        return FitState(schedule, kind, seed, start.box, start.cells, gains=gains, overlap=start.overlap)
     solid, box = find_solid(views, box, schedule[0].cells)
     cells = cells_of_solid(solid, box, B, _START_DENSITY, smooth=schedule.smooth > 0)
     return FitState(schedule, kind, seed, box, cells, gains=gains)

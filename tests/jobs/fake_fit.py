@@ -13,6 +13,7 @@ import pytest
 
 from nerfbake import BrickField, Views, build_bricks, build_field, build_octree, measure_views, sample_n3tree
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.stages.overlap import Overlap
 
 
 @cache
@@ -30,7 +31,7 @@ class FakeState:
     done: int
     of: int
     resolution: int = 16
-    agreement: float | None = None
+    overlap: Overlap | None = None
     cells: Any = field(default_factory=lambda: SimpleNamespace(n=7))
 
     def field(self) -> BrickField:

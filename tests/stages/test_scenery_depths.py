@@ -73,22 +73,32 @@ def test_a_lens_changes_no_depth() -> None:
 
 @pytest.mark.parametrize("views", [above(plain=True), above(edge=32)])
 def test_no_depth_is_known_without_texture_or_in_small_pictures(views: Views) -> None:
-    assert find_depths(views, HEIGHT) == ([], None)
+    maps, overlap = find_depths(views, HEIGHT)
+    assert not maps
+    assert overlap.agreement is None
 
 
 def test_pictures_agree_only_with_the_right_poses(depths: Depths) -> None:
     views = above()
     swapped = replace(views, pictures=[views.pictures[number] for number in np.random.default_rng(0).permutation(8)])
-    wrong = find_depths(swapped, HEIGHT).agreement
-    assert depths.agreement is not None
+    wrong = find_depths(swapped, HEIGHT).overlap.agreement
+    assert depths.overlap.agreement is not None
     assert wrong is not None
-    assert depths.agreement > 0.8
+    assert depths.overlap.agreement > 0.8
     assert wrong < 0.12
-    assert find_depths(views.take(range(4)), HEIGHT).agreement is None  # four are too few to say
+    assert find_depths(views.take(range(4)), HEIGHT).overlap.agreement is None  # four are too few to say
+
+
+def test_a_picture_of_another_place_is_alone(depths: Depths) -> None:
+    assert depths.overlap.alone == ()
+    views = above()
+    pictures = list(views.pictures)
+    pictures[2] = np.ascontiguousarray(pictures[2][:, ::-1])
+    assert find_depths(replace(views, pictures=pictures), HEIGHT).overlap.alone == (2,)
 
 
 def test_depths_count_as_memory() -> None:
-    with memory_limit(23 * 8 * EDGE**2 - 1), pytest.raises(MemoryLimit, match="depths of 8 pictures"):
+    with memory_limit(28 * 8 * EDGE**2 - 1), pytest.raises(MemoryLimit, match="depths of 8 pictures"):
         find_depths(above(), HEIGHT)
 
 
