@@ -102,7 +102,7 @@ def _leaving(eye: Points, looks: Floats, low: Points, size: Points, edge: int) -
     steps = np.where(looks == 0, 1e-300, looks) / size
     ends = np.where(steps > 0, edge, 0)
     away = ((ends - start) / steps).min(axis=1)
-    return np.clip(np.floor(start + away[:, None] * steps), 0, edge - 1).astype(np.int64)
+    return np.asarray(np.clip(np.floor(start + away[:, None] * steps), 0, edge - 1), np.int64)
 
 
 def _patches(toward: Floats) -> npt.NDArray[np.int64]:
@@ -114,7 +114,7 @@ def _patches(toward: Floats) -> npt.NDArray[np.int64]:
         np.clip((toward[rows, (axis + step) % 3] + 1) / 2 * _PATCHES, 0, _PATCHES - 1).astype(np.int64)
         for step in (1, 2)
     )
-    return (side * _PATCHES + a) * _PATCHES + b
+    return np.asarray((side * _PATCHES + a) * _PATCHES + b, np.int64)
 
 
 def _blended(toward: Floats, own: Floats, spread: Floats) -> Floats:
@@ -123,8 +123,8 @@ def _blended(toward: Floats, own: Floats, spread: Floats) -> Floats:
     patch = _patches(toward)
     unit = toward / np.sqrt(np.square(toward).sum(axis=1, keepdims=True))
     filled = np.flatnonzero(spread[:, 3] > 0)
-    middle = np.stack([np.bincount(patch, unit[:, axis], len(spread)) for axis in range(3)], axis=1)[filled]
-    middle /= np.sqrt(np.square(middle).sum(axis=1, keepdims=True))
+    sums = np.stack([np.bincount(patch, unit[:, axis], len(spread)) for axis in range(3)], axis=1)[filled]
+    middle = sums / np.sqrt(np.square(sums).sum(axis=1, keepdims=True))
     sure, shown = np.minimum(spread[filled, 3], _PIXELS), spread[filled, :3] / spread[filled, 3:]
     few = np.flatnonzero(own[:, 3] < _PIXELS)
     for start in range(0, len(few), _TOGETHER):

@@ -31,7 +31,7 @@ class FakeState:
     done: int
     of: int
     resolution: int = 16
-    overlap: Overlap | None = None
+    overlap: ClassVar[Overlap | None] = None
     cells: Any = field(default_factory=lambda: SimpleNamespace(n=7))
 
     def field(self) -> BrickField:

@@ -78,7 +78,9 @@ def test_photographs_from_above_have_no_common_up() -> None:
         return replace(ahead(), pose=pose)
 
     assert upward(Cameras(tuple(turned(0.5 * np.pi * i) for i in range(4)))) is None
-    assert_allclose(upward(Cameras(tuple(turned(0.1 * i) for i in (-1, 0, 1)))), UP, atol=1e-12)
+    found = upward(Cameras(tuple(turned(0.1 * i) for i in (-1, 0, 1))))
+    assert found is not None
+    assert_allclose(found, UP, atol=1e-12)
 
 
 def test_distances_within_the_sky() -> None:

@@ -85,7 +85,7 @@ def _pixels(camera: Camera, samples: int, seed: int) -> tuple[npt.NDArray[np.uin
     colour[:, some] = colour[:, some] * haze + (1 - haze) * np.array([0.75, 0.8, 0.85])[:, None]
     shape = camera.height, samples, camera.width, samples
     mean = np.clip(colour.reshape(3, *shape).mean(axis=(2, 4)), 0, 1).transpose(1, 2, 0)
-    return np.rint(255 * mean).astype(np.uint8), sky.reshape(shape).all(axis=(1, 3))
+    return np.rint(255 * mean).astype(np.uint8), np.asarray(sky.reshape(shape).all(axis=(1, 3)))
 
 
 def _sky(d: Floats) -> Floats:
