@@ -25,6 +25,7 @@ from nerfbake.scene.n3tree import MAX_SHELLS
 from nerfbake.scene.schedule import RESOLUTIONS, Schedule, parse_schedule
 from nerfbake.stages._bricks import BrickCells, field_of_cells, lattice_frame, with_corners
 from nerfbake.stages._fit_devices import CpuFit, FitDevice
+from nerfbake.stages._scenery_depths import Depths
 from nerfbake.stages.overlap import Overlap
 
 BRICKS = ("top", "slots", "first", "places", "values")
@@ -131,8 +132,7 @@ class FitState:
     divided        1 if there are cells of two widths, else 0
     gains          (views, 3): the factor for each channel between the field's colours and those of each view, or (0, 3)
                    if the views have the same exposure
-    overlap        how much pictures with scenery show together; None: not measured, as for objects and for a state from
-                   a file
+    depths         that pictures with scenery show; None: not found yet, as for a state from a file
     device         what runs the steps; the arrays of the cells are current after read_back()
     """
 
@@ -147,7 +147,7 @@ class FitState:
     built: int = 0
     divided: int = 0
     gains: Floats = attribute(default_factory=lambda: np.ones((0, 3)))
-    overlap: Overlap | None = None
+    depths: Depths | None = None
     device: FitDevice = attribute(default_factory=CpuFit)
 
     def __post_init__(self) -> None:
@@ -170,6 +170,11 @@ class FitState:
         """Return to where the arrays of the cells were current, and go on from there on the CPU."""
         self.device = CpuFit()
         self.stage, self.epoch, self.view, self.gains = self._read
+
+    @property
+    def overlap(self) -> Overlap | None:
+        """How much pictures with scenery show together. None: not measured, as for a state from a file."""
+        return None if self.depths is None else self.depths.overlap
 
     @property
     def done(self) -> bool:

@@ -9,13 +9,13 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Points
+from nerfbake.kernels.fit.plan import plan_of_kept
 from nerfbake.kernels.maths.affine import rotate
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
-from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid, lattice_frame
-from nerfbake.stages._scenery_depths import find_depths, vote
+from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_plan, cells_of_solid, lattice_frame
+from nerfbake.stages._scenery_depths import DepthMap, Depths, find_depths, vote
 from nerfbake.stages._scenery_points import reach_of
-from nerfbake.stages.overlap import Overlap
 
 SHELLS = 6  # with the inner cube: the outermost one is 32 times as wide as the inner cube
 FOG = 0.01  # density per cell width
@@ -24,14 +24,15 @@ WALL = 3.0  # density per cell width of the outermost cells, which show whatever
 _LEAST = 3  # views that must see a cell that is not part of the wall
 _CLEAR = 0.25  # of the distance that the cameras look at: no fog starts that close to a camera
 _CELL_BYTES = 40
+_VOTE_BYTES = 200  # per cell, while depth maps are compared with it
 
 
 class SceneryStart(NamedTuple):
-    """The inner cube (2, 3), the cells that a fit starts from, and how much the pictures show together."""
+    """The inner cube (2, 3), the cells that a fit starts from, and the depths that pictures show."""
 
     box: Points
     cells: BrickCells
-    overlap: Overlap
+    depths: Depths
 
 
 def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> SceneryStart:
@@ -45,14 +46,14 @@ def start_scenery(views: Views, box: Points | None, resolution: int, B: int) -> 
     """
     box = inner_cube_of(views.cameras) if box is None else box
     with memory.scope():
-        solid, surface, overlap = _visible(views, box, resolution)
+        solid, surface, depths = _visible(views, box, resolution)
     if not solid.any():
         raise InvalidScene(Problem("views", "see no part of the box together", "cameras that look at the same place"))
     cells = cells_of_solid(solid, box, B, FOG)
     shell, corner = cell_places(cells.bricks)
     _thicken(cells, surface[shell * resolution + corner[:, 0], corner[:, 1], corner[:, 2]], _SURFACE)
     close_wall(cells)
-    return SceneryStart(box, cells, overlap)
+    return SceneryStart(box, cells, depths)
 
 
 def wall_of(cells: BrickCells) -> Bits:
@@ -82,12 +83,32 @@ def focus_distance(views: Views, box: Points) -> float:
     return max(_median_distance(views.cameras.eyes, box.mean(axis=0)), float((box[1] - box[0]).mean()) / 2)
 
 
-def resolved(cells: BrickCells, views: Views) -> Bits:
-    """Return the cells (n,) that cover more than one pixel in the nearest view that shows them."""
+def follow_depths(cells: BrickCells, maps: list[DepthMap], box: Points) -> BrickCells:
+    """Return the cells without those that depth maps show as empty, and denser where they show a surface.
+
+    box: the inner cube. Raises MemoryLimit.
+    """
+    with memory.scope():
+        memory.require(f"depths of {cells.n:,} cells", _VOTE_BYTES * cells.n)
+        votes, wall = vote(maps, *_frames(cells)), wall_of(cells)
+    _thicken(cells, votes.surface & ~wall, _SURFACE)
+    keep, bricks = wall | ~votes.empty, cells.bricks
+    if keep.all() or not keep.any():
+        return cells
+    return cells_of_plan(bricks, plan_of_kept(bricks.top, bricks.slots, bricks.first, keep), box, cells.B)
+
+
+def _frames(cells: BrickCells) -> tuple[Points, Floats]:
+    """Return the centre (n, 3) and the width (n,) of each cell."""
     shell, corner = cell_places(cells.bricks)
     wide = 1 + (cells.bricks.places & 1)
     centre = cells.bricks.low[shell] + (corner + wide[:, None] / 2) * cells.bricks.size[shell]
-    width = cells.bricks.width[shell] * wide
+    return centre, cells.bricks.width[shell] * wide
+
+
+def resolved(cells: BrickCells, views: Views) -> Bits:
+    """Return the cells (n,) that cover more than one pixel in the nearest view that shows them."""
+    centre, width = _frames(cells)
     found = np.zeros(cells.n, bool)
     for camera in views.cameras.cameras:
         away = np.sqrt(np.square(centre - camera.pose[:3, 3]).sum(axis=1))
@@ -95,9 +116,9 @@ def resolved(cells: BrickCells, views: Views) -> Bits:
     return found
 
 
-def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, Overlap]:
-    """Return the cells (S R, R, R) of all shells that the fit starts from, those of them with a surface, and how much
-    the pictures show together.
+def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, Depths]:
+    """Return the cells (S R, R, R) of all shells that the fit starts from, those of them with a surface, and the depths
+    that pictures show.
     """
     memory.require(f"fog in {SHELLS} shells of {R}^3 cells", _CELL_BYTES * R**3 * SHELLS)
     low, size, width = lattice_frame(box, R, SHELLS)
@@ -119,7 +140,7 @@ def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, Overlap]:
                 near |= seen & (away - width[shell] < reach.far[number])
             else:
                 wide |= seen
-        votes = vote(depths.maps, centre, float(width[shell]))
+        votes = vote(depths.maps, centre, np.full(R**3, width[shell]))
         solid = ((near & (counts >= 1)) | (wide & (counts >= least))) & ~votes.empty
         solid, surface = (solid | votes.surface).reshape(R, R, R), votes.surface.reshape(R, R, R)
         if shell:
@@ -130,7 +151,7 @@ def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, Overlap]:
             solid = wall
         found.append(solid)
         surfaces.append(surface)
-    return np.concatenate(found), np.concatenate(surfaces), depths.overlap
+    return np.concatenate(found), np.concatenate(surfaces), depths
 
 
 def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:

@@ -126,8 +126,8 @@ def find_depths(views: Views, focus: float) -> Depths:
     return Depths(made, Overlap(share, agreed / alike if enough else None, tuple(sorted(alone))))
 
 
-def vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:
-    """Return what the maps say about cells of one width around these centres (n, 3).
+def vote(maps: list[DepthMap], centre: Points, widths: Floats) -> Votes:
+    """Return what the maps say about cells of these widths (n,) around these centres (n, 3).
 
     A surface lies in a cell if at least a third of the views that know the depth there see it in the cell, or if none
     of them knows it, but the pixels around suggest it.
@@ -135,13 +135,13 @@ def vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:
     empty, surface = np.empty(len(centre), bool), np.empty(len(centre), bool)
 
     def count(begin: int, end: int) -> None:
-        empty[begin:end], surface[begin:end] = _vote(maps, centre[begin:end], width)
+        empty[begin:end], surface[begin:end] = _vote(maps, centre[begin:end], widths[begin:end])
 
     over_chunks(count, len(centre), _CELLS)
     return Votes(empty, surface)
 
 
-def _vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:
+def _vote(maps: list[DepthMap], centre: Points, widths: Floats) -> Votes:
     through, at = (np.zeros(len(centre), np.int32) for _ in range(2))
     shown, guessed = (np.zeros(len(centre), bool) for _ in range(2))
     for camera, inverse, known, step, sky in maps:
@@ -153,7 +153,7 @@ def _vote(maps: list[DepthMap], centre: Points, width: float) -> Votes:
         inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
         cells = np.flatnonzero(inside)
         pixel = row[cells].astype(np.int64), column[cells].astype(np.int64)
-        surface, sure, depth = inverse[pixel], known[pixel], depth[cells]
+        surface, sure, depth, width = inverse[pixel], known[pixel], depth[cells], widths[cells]
         # The whole cell is before the sky.
         clear = sky[pixel] * depth > _HALF_DIAGONAL * width * max(camera.fx, camera.fy)
         margin = np.maximum(_MARGIN * surface, step / 2)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nerfbake import memory
 from nerfbake.device.fit import Losses
 from nerfbake.errors import DeviceError, InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Ints, Points
@@ -22,7 +23,8 @@ from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
 from nerfbake.stages._fit_devices import Look, Visit, fit_device
 from nerfbake.stages._fit_state import GAINS, FitState, coefficients
-from nerfbake.stages._scenery import close_wall, focus_distance, resolved, start_scenery, wall_of
+from nerfbake.stages._scenery import close_wall, focus_distance, follow_depths, resolved, start_scenery, wall_of
+from nerfbake.stages._scenery_depths import find_depths
 from nerfbake.stages._scenery_wall import settle_wall
 from nerfbake.stages.views_to_hull import find_solid, require_views
 
@@ -153,7 +155,7 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
     B = coefficients(schedule, kind, 0)
     if views.scenery:
         start = start_scenery(views, box, schedule[0].cells, B)
-        return FitState(schedule, kind, seed, start.box, start.cells, gains=gains, overlap=start.overlap)
+        return FitState(schedule, kind, seed, start.box, start.cells, gains=gains, depths=start.depths)
     solid, box = find_solid(views, box, schedule[0].cells)
     cells = cells_of_solid(solid, box, B, _START_DENSITY, smooth=schedule.smooth > 0)
     return FitState(schedule, kind, seed, box, cells, gains=gains)
@@ -167,6 +169,11 @@ def _rebuild(state: FitState, views: Views) -> None:
     # The plan has no name here, so its memory is free before the values are copied.
     cells = cells_of_plan(bricks, _next_plan(state, views), state.box, B, smooth=smooth)
     if views.scenery:
+        if state.schedule[state.stage].cells > state.schedule[state.stage - 1].cells:
+            if state.depths is None:
+                with memory.scope():
+                    state.depths = find_depths(views, focus_distance(views, state.box))
+            cells = follow_depths(cells, state.depths.maps, state.box)
         close_wall(cells)
     state.replace_cells(cells)
 

@@ -6,12 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
-from nerfbake import Camera, Cameras, Views, memory_limit
+from nerfbake import Camera, Cameras, Views, fit_field, memory_limit
 from nerfbake.errors import MemoryLimit
-from nerfbake.kernels.arrays import Floats
+from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.kernels.fit.bricks import values_by_cell
 from nerfbake.scene.lens import Lens
-from nerfbake.stages._scenery import start_scenery
+from nerfbake.scene.schedule import parse_schedule
+from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid
+from nerfbake.stages._fit_state import FitState
+from nerfbake.stages._scenery import follow_depths, start_scenery
 from nerfbake.stages._scenery_depths import DepthMap, Depths, find_depths, vote
 
 HEIGHT, EDGE = 5.0, 64
@@ -115,13 +120,13 @@ def test_cells_before_the_ground_are_empty(
 ) -> None:
     monkeypatch.setattr("nerfbake.stages._scenery_depths._CELLS", 20)
     centre = np.random.default_rng(1).uniform(-1, 1, (50, 3)) * (1, 1, 0) + (0, 0, z)
-    votes = vote(maps, centre, 0.2)
+    votes = vote(maps, centre, np.full(50, 0.2))
     assert (votes.empty == empty).all()
     assert (votes.surface == surface).all()
 
 
 def test_cells_that_no_view_shows_have_no_votes(maps: list[DepthMap]) -> None:
-    votes = vote(maps, np.array([[0.0, 0, 9], [50, 0, 0]]), 0.2)
+    votes = vote(maps, np.array([[0.0, 0, 9], [50, 0, 0]]), np.full(2, 0.2))
     assert not votes.empty.any()
     assert not votes.surface.any()
 
@@ -133,3 +138,35 @@ def test_a_fit_starts_with_dense_cells_on_the_ground() -> None:
     dense = [np.isclose(cells.bricks.values, 0.3).sum() for cells in (field, plain)]
     assert dense[0] > 100
     assert dense[1] == 0
+
+
+def test_finer_cells_follow_the_depths(maps: list[DepthMap]) -> None:
+    cells = cells_of_solid(np.ones((32, 32, 32), bool), BOX, 1, 0.01)
+    followed = follow_depths(cells, maps, BOX)
+    _, corner = cell_places(followed.bricks)
+    z, density = corner[:, 2] / 4 - 3.875, values_of(followed)[:, -1]
+    x, y = corner[:, 0] / 4 - 3.875, corner[:, 1] / 4 - 3.875
+    seen = (np.abs(x) < 1) & (np.abs(y) < 1)
+    assert not (seen & (z > 1)).any()
+    assert (density[seen & (np.abs(z) < 0.2)] == np.float32(0.3)).all()
+    assert (density[z < -1] == np.float32(0.01)).all()
+    assert np.count_nonzero(z < -1) == 32 * 32 * 12
+
+
+@pytest.mark.slow
+def test_a_fit_with_depths_resumes_with_the_same_bytes() -> None:
+    schedule = parse_schedule("cells=32,scale=4/cells=64,scale=4")
+    arrays = [
+        {name: array.copy() for name, array in state.arrays().items()}
+        for state in fit_field(above(), schedule=schedule, basis="SH1", box=BOX)
+        if state.view == 0
+    ]
+    *_, resumed = fit_field(above(), schedule=schedule, start=FitState.of_arrays(arrays[0]))
+    for name, array in arrays[-1].items():
+        assert_array_equal(resumed.arrays()[name], array, err_msg=name)
+
+
+def values_of(cells: BrickCells) -> Singles:
+    values = np.empty((cells.n, 4), np.float32)
+    values_by_cell(cells.bricks.values, cells.bricks.first, values)
+    return values

@@ -105,6 +105,6 @@ def test_a_sky_with_depths_is_no_sky() -> None:
 def test_cells_before_the_sky_are_empty(centre: Floats, width: float, empty: bool) -> None:
     distance = np.full((32, 32), 12, np.float32)
     seen = DepthMap(ahead(), np.full((32, 32), -np.inf), np.zeros((32, 32), bool), 0.01, distance)
-    votes = vote([seen], np.array([centre], np.float64), width)
+    votes = vote([seen], np.array([centre], np.float64), np.full(1, width))
     assert votes.empty[0] == empty
     assert not votes.surface[0]
