@@ -49,6 +49,7 @@ _MOST = 0.2
 # In the stages with an object's smallest cells, residuals count less where their mean over neighbouring pixels is above
 # this: a reflection that only few views show, and that coefficients cannot represent, must not change the others.
 _MOST_MEAN = 0.05
+_FEW = 32  # most views with scenery whose depths also decide about finer cells (docs/tuning.md)
 _RING = 1  # width in pixels of the ring around an object that is fitted, too
 
 
@@ -169,7 +170,8 @@ def _rebuild(state: FitState, views: Views) -> None:
     # The plan has no name here, so its memory is free before the values are copied.
     cells = cells_of_plan(bricks, _next_plan(state, views), state.box, B, smooth=smooth)
     if views.scenery:
-        if state.schedule[state.stage].cells > state.schedule[state.stage - 1].cells:
+        doubled = state.schedule[state.stage].cells > state.schedule[state.stage - 1].cells
+        if doubled and len(views.pictures) <= _FEW:
             if state.depths is None:
                 with memory.scope():
                     state.depths = find_depths(views, focus_distance(views, state.box))
