@@ -41,8 +41,14 @@ def run(language: str, text: str, folder: Path, *, programs: Path = PROGRAMS) ->
     path = os.pathsep.join([str(programs), str(PROGRAMS), os.environ["PATH"]])
     command = [sys.executable, "-c", text] if language == "python" else ["bash", "-euo", "pipefail", "-c", text]
     with TemporaryFile() as errors:
-        streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": errors}
-        code = subprocess.call(command, cwd=folder, env=os.environ | {"PATH": path}, **streams)
+        code = subprocess.call(
+            command,
+            cwd=folder,
+            env=os.environ | {"PATH": path},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+        )
         errors.seek(0)
         return code, errors.read().decode()
 

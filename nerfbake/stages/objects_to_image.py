@@ -163,8 +163,8 @@ def _bricks() -> Solids:
     held[8:40, 10:38:4, 16] = held[10:38:7, 8:40, 17] = True  # a roof of beams,
     held[12:16, 12:16, :24] = True  # and a tower through it
     for _ in range(60):  # things inside and outside
-        x, y, z = random.integers(0, N - 6), random.integers(0, N - 6), random.integers(1, 8)
-        held[x : x + random.integers(1, 6), y : y + random.integers(1, 6), :z] = True
+        left, front, height = random.integers(0, N - 6), random.integers(0, N - 6), random.integers(1, 8)
+        held[left : left + random.integers(1, 6), front : front + random.integers(1, 6), :height] = True
     x, y, z = np.nonzero(held)
     stud, green = np.array([pitch / 2, pitch / 2, 0.0]), np.array([0.3, 0.45, 0.3])
     corner = np.stack([x - N / 2, y - N / 2, z], axis=1) * [pitch, pitch, tall] + np.array([0, 0, 0.02])

@@ -207,7 +207,7 @@ def _meet_rod(solids: Solids, solid: int, origin: Triple, d: Triple, nearest: fl
         if t > 0 and 0 <= start + t * slope <= length:
             if t < nearest:
                 normal[0], normal[1], normal[2] = (o0 + t * v0) / radius, (o1 + t * v1) / radius, (o2 + t * v2) / radius
-            return t
+            return float(t)
     if slope == 0:
         return np.inf
     t = ((0.0 if slope > 0 else length) - start) / slope
@@ -216,4 +216,4 @@ def _meet_rod(solids: Solids, solid: int, origin: Triple, d: Triple, nearest: fl
     if t < nearest:
         side = -1.0 if slope > 0 else 1.0
         normal[0], normal[1], normal[2] = side * u0, side * u1, side * u2
-    return t
+    return float(t)
