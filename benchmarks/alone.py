@@ -65,7 +65,7 @@ class Watch:
     """Looks at the threads of the processes that this one starts, in a thread of its own. Linux only."""
 
     def __init__(self) -> None:
-        self.alone, self._seen, self._ended = 0.0, dict[str, float](), threading.Event()
+        self.alone, self._seen, self._ended = 0.0, _thread_seconds(), threading.Event()
         self._thread = threading.Thread(target=self._follow, daemon=True)
         self._thread.start()
 

@@ -86,7 +86,7 @@ def test_a_block_that_fails_fails_the_test(one_process: Path, tmp_path: Path) ->
 def test_commands_of_one_process_have_their_own_folder_and_streams(one_process: Path, tmp_path: Path) -> None:
     made = "nerfbake sample octree - --to npz --resolution 8 | nerfbake svo - - --to svo.pb >a.svo.pb"
     assert run("sh", f"{made}; mkdir b; cd b; nerfbake info ../a.svo.pb >c\n", tmp_path, programs=one_process)[0] == 0
-    assert "8x8x8" in (tmp_path / "b" / "c").read_text()
+    assert "8 x 8 x 8" in (tmp_path / "b" / "c").read_text()
 
 
 @pytest.mark.parametrize("page", LINKED, ids=name_of)

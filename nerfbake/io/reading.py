@@ -211,12 +211,12 @@ def _folder_form(files: Folder, *wanted: str) -> tuple[FolderKind | Dialect, str
             found = next(((form, name) for form, name in dialects_in(files) if not lacks(form, files)), None)
             if found is not None:
                 return found
-        if (names := files.names("")) and all(name.lower().endswith(PICTURES) for name in names):
-            advice = "`nerfbake fit` takes them, and `nerfbake poses` finds their cameras"
-            raise InvalidFile(f"holds pictures alone ({advice}); allowed: a scene or cameras") from None
         if files.broken is not None:
             told = f"is a symbolic link to {files.broken.readlink()}, which does not exist"
             raise InvalidFile(f"{told}; allowed: a file", source=str(files.broken)) from None
+        if (names := files.names("")) and all(name.lower().endswith(PICTURES) for name in names):
+            advice = "`nerfbake fit` takes them, and `nerfbake poses` finds their cameras"
+            raise InvalidFile(f"holds pictures alone ({advice}); allowed: a scene or cameras") from None
         raise
 
 

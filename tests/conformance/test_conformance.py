@@ -45,11 +45,14 @@ def test_a_frozen_file_is_read_as_its_json_says(case: Case, name: str) -> None:
 
 @pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
 def test_the_json_says_what_the_scene_is(case: Case) -> None:
-    """Numbers that are computed may differ in their last bits from one C library to the next."""
+    """Numbers that are computed may differ in their last bits from one C library or processor to the next.
+
+    What networks answer is computed in float32.
+    """
     ours, document = json.loads(text_of(case.document(lambda _: {}))), document_of(case)
     for told in document["files"].values():
         told["packed_by"] = {path: {} for path in told["packed_by"]} if told["format"] in FOLDERS else {}
-    require_like(ours, document, {"stored": 0, "computed": 1e-12})
+    require_like(ours, document, {"stored": 0, "computed": 1e-6 if case.name.startswith("function/") else 1e-12})
 
 
 @each_file

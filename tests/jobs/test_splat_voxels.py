@@ -24,7 +24,7 @@ from nerfbake.jobs import (
     compress_file,
     convert_file,
     describe_file,
-    meshes,
+    mesh_options,
     refit_file,
     splat_voxels,
     view_file,
@@ -129,7 +129,7 @@ def test_a_mesh_is_fitted_to_pictures_of_the_splats_not_of_their_voxels(monkeypa
     def show(scene: Any, *, framed: Any, **options: Any) -> None:
         raise Shown(scene, framed)
 
-    monkeypatch.setattr(meshes, "render_split", show)
+    monkeypatch.setattr(mesh_options, "render_split", show)
     with pytest.raises(Shown) as caught:
         bake_mesh("ball.ply", "ball.glb")
     scene, framed = caught.value.args
