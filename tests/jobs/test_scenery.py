@@ -78,9 +78,11 @@ def test_poses_of_other_pictures_are_told(tmp_path: Path, capfd: pytest.CaptureF
     write_room(room, frames=8)
     jobs.find_poses(str(room))
     cameras = io.load(room, Cameras)
-    # The file names pictures by the names of their cameras.
-    names = [camera.name for camera in cameras.cameras]
-    wrong = [replace(camera, name=names[(3 * i + 1) % 8]) for i, camera in enumerate(cameras.cameras)]
+    others = [cameras.cameras[(3 * i + 1) % 8] for i in range(8)]
+    wrong = [
+        replace(camera, name=other.name, picture=other.picture)
+        for camera, other in zip(cameras.cameras, others, strict=True)
+    ]
     io.save(room / "transforms.json", replace(cameras, cameras=tuple(wrong)), force=True)
     assert run(["fit", str(room), str(tmp_path / "a.npz"), "--epochs", SHORT, "--basis", "SH1"]) == 0
     told = capfd.readouterr().err
