@@ -10,6 +10,7 @@ import numpy as np
 from nerfbake.errors import InvalidScene, Problem
 
 SH_SIZES = (1, 4, 9, 16, 25)
+SH0 = 0.28209479177387814  # the first spherical harmonic, a constant
 _SIGNS = {-1: "m", 0: "", 1: "p"}  # the shaders use the same names
 
 

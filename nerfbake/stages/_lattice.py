@@ -26,6 +26,7 @@ from nerfbake.kernels.lattice.nodes import (
 from nerfbake.kernels.march.sh import sh_basis
 from nerfbake.kernels.maths.elementary import fibonacci, log, sigmoid
 from nerfbake.kernels.octree.node_values import to_float32
+from nerfbake.scene.basis import SH0
 from nerfbake.scene.lattice_field import Blocks, DeferredColour, LatticeField, MlpColour, ShColour
 from nerfbake.stages._deferred import colour_function, diffuse_and_inputs, fit_of_deferred
 
@@ -35,7 +36,6 @@ DIRECTIONS = 256  # directions in which coefficients are fitted to colours
 # 2.11 with 256; SH25 1.85 with 100 and 1.81 with 256.
 MLP_DIRECTIONS, FEW_DIRECTIONS = 64, 24
 _KINDS = {"relu": RELU, "softplus": SOFTPLUS, "opacity": OPACITY, "exponential": EXPONENTIAL}
-_Y0 = 0.28209479177387814  # the first spherical harmonic, a constant
 
 Looked = Callable[[Floats], Singles]
 Seen = Callable[[Singles, Ints], Singles]
@@ -156,5 +156,5 @@ def _split(mlp: MlpColour, features: Singles) -> tuple[Singles, Singles]:
 def _constant(features: Singles, B: int) -> Singles:
     """Return coefficients of colours that do not depend on the direction: only the first of each channel is not 0."""
     out = np.zeros((len(features), 3 * B), np.float32)
-    out[:, ::B] = features / np.float32(_Y0)
+    out[:, ::B] = features / np.float32(SH0)
     return out

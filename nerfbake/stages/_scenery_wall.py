@@ -12,7 +12,7 @@ from nerfbake import memory
 from nerfbake.kernels.arrays import Floats, Points
 from nerfbake.kernels.fit.bricks import values_by_brick, values_by_cell
 from nerfbake.kernels.maths.elementary import log
-from nerfbake.scene.basis import Basis
+from nerfbake.scene.basis import SH0, Basis
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, field_of_cells
 from nerfbake.stages._ray_targets import reduced_view
@@ -29,7 +29,6 @@ _PATCHES = 8  # along each axis of each side of the wall: their colours spread t
 _BLUR = 1e-3  # of the cosine of an angle, within which patches count about equally
 _TOGETHER = 1024  # cells at a time, so that temporaries stay in the cache
 _FAINT, _BRIGHT = 0.02, 0.98  # range of colours
-_CONSTANT = 0.28209479177387814  # spherical harmonic of band 0
 _CELL_BYTES = 100
 
 
@@ -45,7 +44,7 @@ def settle_wall(cells: BrickCells, views: Views, box: Points, gains: Floats) -> 
         values_by_cell(cells.bricks.values, cells.bricks.first, rows)
         logits = _colours(cells, wall, views, box, gains)
         rows[wall, :-1] = 0
-        rows[wall, : -1 : cells.B] = logits / _CONSTANT
+        rows[wall, : -1 : cells.B] = logits / SH0
         rows[wall, -1] = np.maximum(rows[wall, -1], np.float32(_OPAQUE))
         values_by_brick(rows, cells.bricks.first, cells.bricks.values)
 

@@ -12,7 +12,7 @@ from nerfbake.kernels.march.sh import band_of, rotation_of_sh
 from nerfbake.kernels.maths.elementary import log
 from nerfbake.kernels.maths.linear import product
 from nerfbake.kernels.network.projection import choose_cameras, fit_logits
-from nerfbake.scene.basis import parse_basis
+from nerfbake.scene.basis import SH0, parse_basis
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.camera import Cameras
 from nerfbake.scene.function_field import FunctionField
@@ -31,7 +31,6 @@ _WEIGHT = 0.512
 _MOST_LOGIT = 8.0  # the sigmoid of more is 0 or 1 to a tenth of a step of 1/255
 _PAIRS = 1 << 17  # colours that are computed at a time
 _NUMBERS = 1 << 22  # of their features
-_Y0 = 0.28209479177387814  # the first spherical harmonic, a constant
 _WALL_CELLS = 128  # along an edge of a side of the wall, at most
 _OPAQUE = 0.5  # alpha of what lies beyond, from which there is a wall
 _THICKEST = 8.0  # optical thickness of the wall
@@ -99,7 +98,7 @@ def bake_function(
     if wall is not None:
         held, number = cells.in_wall(wall)
         values[held, :-1] = 0
-        values[held, : -1 : wanted.size] = _logit(wall.colours[number]) / np.float32(_Y0)
+        values[held, : -1 : wanted.size] = _logit(wall.colours[number]) / np.float32(SH0)
     rows = cells.made.slots.astype(np.int32)
     rows += 2 * cells.made.first[:-1, None]
     rows[cells.made.slots < 0] = -1

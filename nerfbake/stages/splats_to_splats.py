@@ -16,10 +16,10 @@ from nerfbake.kernels.maths.elementary import cast
 from nerfbake.kernels.octree.lookup import dilate
 from nerfbake.kernels.splat.merging import Mixture, choose_pairs, fill_axes, fill_forms, find_partners, merge_pairs
 from nerfbake.kernels.surface.triangles import parts_of
+from nerfbake.scene.basis import SH0
 from nerfbake.scene.splats import Splats
 from nerfbake.stages.splat_box import inner_box
 
-_C0 = 0.28209479177387814  # the first basis function
 _PIXELS = 400  # along the scene: what is smaller than such a pixel is compared as it looks, blurred by it
 _BLUR = 0.3  # variance that a picture adds, in square pixels
 _SHARPEST = 1e-9  # of the longest edge: blur of antialiased splats, which pictures do not widen
@@ -62,7 +62,7 @@ def merge_splats(splats: Splats, *, count: int) -> Splats:
     blur = max(blur, 1e-60)
     form, n = np.empty((splats.n, 6)), splats.n
     fill_forms(splats.scales, splats.quats, form)
-    colour = np.clip(0.5 + _C0 * splats.sh[:, 0].astype(np.float64), 0, 1)
+    colour = np.clip(0.5 + SH0 * splats.sh[:, 0].astype(np.float64), 0, 1)
     state = Mixture(splats.means.astype(np.float64), form, splats.opacity.astype(np.float64), colour, np.arange(n))
     sh, merged, turn = splats.sh.copy(), np.zeros(n, np.bool_), 0
     while n > count:

@@ -35,10 +35,11 @@ from nerfbake.formats.mesh.glb_writer import opening_of
 from nerfbake.formats.splat import spz
 from nerfbake.formats.splat.glb_check import EXTENSION, PREFIX
 from nerfbake.formats.splat.glb_check import examine as examine
-from nerfbake.formats.splat.ply import SH0, exp_or_nan
+from nerfbake.formats.splat.ply import exp_or_nan
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import transform_points
 from nerfbake.kernels.picture.metrics import to_linear
+from nerfbake.scene.basis import SH0
 from nerfbake.scene.origin import choose_origin
 from nerfbake.scene.splat_axes import from_axes, to_axes
 from nerfbake.scene.splat_stretch import placed_by

@@ -29,8 +29,8 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, InvalidScene, Problem
-from nerfbake.formats.splat.ply import SH0
 from nerfbake.kernels.arrays import Floats
+from nerfbake.scene.basis import SH0
 from nerfbake.scene.splats import BASES, SplatRows, Splats, join_splats, splats_in_blocks, splats_size
 
 _HEAD, _SECTION = 4096, 1024  # bytes

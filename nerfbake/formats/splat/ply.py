@@ -31,10 +31,10 @@ from nerfbake.formats.wire import ply as wire
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.elementary import exp, log, sigmoid
 from nerfbake.scene.base import MAX_WORLD
+from nerfbake.scene.basis import SH0
 from nerfbake.scene.origin import choose_origin
 from nerfbake.scene.splats import BASES, Splats, splats_of_rows
 
-SH0 = 0.28209479177387814  # the first basis function
 MOST_DEGREE = 3
 KEEPS_ORIGIN = True
 KEEPS_UP = False

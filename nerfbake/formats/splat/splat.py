@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.splat.ply import SH0
+from nerfbake.scene.basis import SH0
 from nerfbake.scene.splats import SplatRows, Splats, splats_in_blocks
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("quat", "u1", 4)])
