@@ -14,7 +14,7 @@ from nerfbake.kernels.maths.affine import rotate
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_plan, cells_of_solid, lattice_frame
-from nerfbake.stages._scenery_depths import DepthMap, Depths, find_depths, vote
+from nerfbake.stages._scenery_depths import HALF_DIAGONAL, DepthMap, Depths, find_depths, vote
 from nerfbake.stages._scenery_points import reach_of
 
 SHELLS = 6  # with the inner cube: the outermost one is 32 times as wide as the inner cube
@@ -157,7 +157,7 @@ def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, Depths]:
 def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:
     """Return which cells (n,) around these centres may touch the camera's frustum. The lens counts as a pinhole."""
     along = rotate(centre - camera.pose[:3, 3], np.ascontiguousarray(camera.pose[:3, :3].T))
-    depth, reach = -along[:, 2], 0.87 * np.asarray(width)  # half a cell's diagonal
+    depth, reach = -along[:, 2], HALF_DIAGONAL * np.asarray(width)
     if camera.lens is not None and camera.lens.all_round:
         return np.ones(len(centre), bool)
     inside = depth > -reach

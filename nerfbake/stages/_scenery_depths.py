@@ -38,7 +38,7 @@ _LEAST_ALIKE = 0.1  # share of all pixels; with fewer ones, there is too little 
 _CONFIRMED = 0.12  # of the pixels that look alike, the least share whose depth is confirmed unless a picture is alone
 _PIXEL_BYTES = 28  # a picture in grey, two depth maps, and the sky
 _CELLS = 1 << 14  # that a core looks at in all maps at a time
-_HALF_DIAGONAL = 0.87  # of a cell
+HALF_DIAGONAL = 0.87  # of a cell of width 1
 _FAR_STEPS = 3  # of a depth that is known; farther surfaces lie between the last few planes
 
 
@@ -155,7 +155,7 @@ def _vote(maps: list[DepthMap], centre: Points, widths: Floats) -> Votes:
         pixel = row[cells].astype(np.int64), column[cells].astype(np.int64)
         surface, sure, depth, width = inverse[pixel], known[pixel], depth[cells], widths[cells]
         # The whole cell is before the sky.
-        clear = sky[pixel] * depth > _HALF_DIAGONAL * width * max(camera.fx, camera.fy)
+        clear = sky[pixel] * depth > HALF_DIAGONAL * width * max(camera.fx, camera.fy)
         margin = np.maximum(_MARGIN * surface, step / 2)
         before = 1 / (depth + width) > surface + margin
         behind = 1 / np.maximum(depth - width, 1e-9) < surface - margin
