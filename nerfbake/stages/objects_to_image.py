@@ -3,8 +3,8 @@
 Both objects are about two world units wide, z up. A lamp casts shadows, and what is glossy mirrors it and the sky, so
 that highlights move with the camera. In pictures of 400x400 a world unit has about 125 pixels:
 
-    struts    a crane of rods of 1 to 3 pixels, a wheel with spokes, and a cage of wires around balls of bricks
-    bricks    a house of bricks with 3,000 studs; its inside shows through windows and a roof of beams only
+    struts    a crane of rods of 1 to 3 pixels, a wheel with spokes, and a cage of wires around boxes
+    bricks    a house of bricks with 2,300 studs; its inside shows through windows and a roof of beams only
 """
 
 from __future__ import annotations

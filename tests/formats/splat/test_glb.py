@@ -174,7 +174,9 @@ def test_a_mesh_is_read_as_a_mesh_and_splats_as_splats(tmp_path: Path) -> None:
     save(tmp_path / "splats.glb", splats(3))
     assert isinstance(load(tmp_path / "mesh.glb"), Meshes)
     assert isinstance(load(tmp_path / "splats.glb"), Splats)
-    with pytest.raises(InvalidFile, match=r"holds Gaussian splats .*; allowed: a mesh"):
+    with pytest.raises(
+        InvalidFile, match=r"holds Gaussian splats \(`nerfbake mesh` makes a mesh of it\); allowed: a mesh"
+    ):
         load(tmp_path / "splats.glb", Meshes)
 
 
