@@ -17,7 +17,7 @@ import numpy as np
 
 from nerfbake import load
 from nerfbake.formats.splat import ply as own
-from nerfbake.formats.splat.ply import SH0
+from nerfbake.scene.basis import SH0
 from nerfbake.scene.splat_levels import SplatLevels
 from nerfbake.scene.splats import Splats
 from tests.conformance.case import HOME, Case, Facts, Frozen, floats, form_named
