@@ -12,6 +12,7 @@ does not count the interpreter and its libraries.
 
 from __future__ import annotations
 
+import threading
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,19 +30,28 @@ class _Allowance:
 
     def __init__(self, limit: int, *, keeps: bool) -> None:
         self.limit, self.keeps = limit, keeps
-        self.taken, self.kept, self.scopes = 0, 0, 0
+        self.taken, self.kept = 0, 0
 
     @property
     def held(self) -> int:
         return self.taken + self.kept
 
     def let_go(self, size: int) -> None:
-        self.kept -= size
+        with _counting:
+            self.kept -= size
 
 
+class _Scope:
+    """The bytes taken in a scope."""
+
+    taken = 0
+
+
+_counting = threading.RLock()  # the garbage collector may let go while this thread counts
 # Outside memory_limit() each call has the whole default limit for itself: a notebook may keep any number of scenes.
 _default = _Allowance(DEFAULT, keeps=False)
 _current: ContextVar[_Allowance] = ContextVar("allowance", default=_default)
+_scope: ContextVar[_Scope | None] = ContextVar("scope", default=None)
 
 
 @contextmanager
@@ -79,9 +89,11 @@ def require(what: str, size: int) -> None:
 
 def hold(what: str, size: int) -> None:
     """Take `size` bytes until the end of the surrounding scope(), if there is one. Raises MemoryLimit."""
-    require(what, size)
-    if (allowance := _current.get()).scopes:
-        allowance.taken += size
+    with _counting:
+        require(what, size)
+        if (own := _scope.get()) is not None:
+            own.taken += size
+            _current.get().taken += size
 
 
 @contextmanager
@@ -95,14 +107,14 @@ def lent(what: str, size: int) -> Iterator[None]:
 @contextmanager
 def scope() -> Iterator[None]:
     """Give back all bytes taken inside the block when it ends."""
-    allowance = _current.get()
-    before = allowance.taken
-    allowance.scopes += 1
+    allowance, own, outer = _current.get(), _Scope(), _scope.get()
+    _scope.set(own)
     try:
         yield
     finally:
-        allowance.taken = before
-        allowance.scopes -= 1
+        _scope.set(outer)  # not reset(): a generator may end in another context
+        with _counting:
+            allowance.taken -= own.taken
 
 
 def kept(scene: Counted) -> Counted:
@@ -126,7 +138,8 @@ def grown(scene: Any, what: str, size: int) -> None:
 def _keep(scene: Any, size: int) -> None:
     allowance = _current.get()
     if allowance.keeps:
-        allowance.kept += size
+        with _counting:
+            allowance.kept += size
         weakref.finalize(scene, allowance.let_go, size)
 
 

@@ -5,7 +5,7 @@
             render(camera)
 
 The listener is a context variable, so that pure functions need no argument for it. A loop inside another loop's body
-reports its part of that body. Threads started by a kernel have no listener and report nothing.
+reports its part of that body. Threads that help with a loop of kernels.parallel report nothing.
 """
 
 from __future__ import annotations
@@ -35,6 +35,11 @@ def listening(listener: Listener | None) -> Iterator[None]:
         yield
     finally:
         _listener.reset(token)
+
+
+def end_reports() -> None:
+    """Report nothing from here on in this context: the cheap listening(None) of a context of its own."""
+    _listener.set(None)
 
 
 @contextmanager

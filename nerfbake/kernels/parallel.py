@@ -2,6 +2,8 @@
 
 One pool of threads does the work of all loops. The caller of a loop works, too, and never waits for a chunk that no
 thread has begun. So loops may be nested, and end if all threads of the pool are busy or no thread can be started.
+
+Other threads work in the context of the caller, with its memory limit. They report no progress.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import atexit
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
+from contextvars import Context, copy_context
 from functools import wraps
 from queue import SimpleQueue
 from threading import Condition, Semaphore, Thread, current_thread
@@ -17,6 +20,7 @@ from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
+from nerfbake import progress
 from nerfbake.kernels.arrays import Ints
 
 Arguments = ParamSpec("Arguments")
@@ -60,6 +64,7 @@ class _Shared:
         self._work, self._tasks = work, iter(tasks)
         self._helpers, self._finished = set[Thread](), False
         self._changed = Condition()
+        self._context = copy_context()
 
     def help(self) -> None:
         """Do tasks in a thread of the pool, unless the caller has finished."""
@@ -67,10 +72,14 @@ class _Shared:
             if self._finished:
                 return
             self._helpers.add(current_thread())
-        self.run()
+        self._context.copy().run(self._run_silently)  # two threads cannot run in one context
         with self._changed:
             self._helpers.discard(current_thread())
             self._changed.notify_all()
+
+    def _run_silently(self) -> None:
+        progress.end_reports()
+        self.run()
 
     def run(self) -> None:
         """Do tasks until none is left."""
@@ -98,7 +107,7 @@ class _Shared:
                 break
             except BaseException as error:
                 self.errors.append(error)
-        self._work = _nothing  # the pool may still hold invitations
+        self._work, self._context = _nothing, Context()  # the pool may still hold invitations
 
     def raise_first(self) -> None:
         if self.errors:

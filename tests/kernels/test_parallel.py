@@ -14,6 +14,7 @@ from time import sleep
 import numpy as np
 import pytest
 
+from nerfbake import memory, progress
 from nerfbake.kernels import parallel
 from nerfbake.kernels.arrays import Ints
 from nerfbake.kernels.jit import compiled, next_task, part_of
@@ -158,6 +159,28 @@ def test_loops_within_loops_and_beside_each_other_end(monkeypatch: pytest.Monkey
     assert found == [expected] * 180
 
 
+def test_other_threads_have_the_callers_memory_limit_and_report_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
+    all_here, found, heard = Barrier(3), list[int](), list[float]()
+
+    def work(begin: int, end: int) -> None:
+        with memory.scope():
+            memory.hold("a part", 100)
+            all_here.wait(10)
+            found.append(memory.left())
+            all_here.wait(10)
+        if current_thread() is not main_thread():
+            progress.report(0.5)
+
+    with progress.listening(lambda share, _: heard.append(share)), memory.memory_limit(1 << 40):
+        parallel.over_chunks(work, 3, 1)
+        assert memory.left() == 1 << 40
+        assert memory.left() == next(parallel.in_order([memory.left]))
+    assert found == [(1 << 40) - 300] * 3
+    assert heard == []
+    assert memory.left() == memory.DEFAULT
+
+
 def test_the_threads_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
     _sum_of_parts(100)
@@ -174,10 +197,14 @@ def test_the_pool_keeps_nothing_of_a_loop_that_ended(monkeypatch: pytest.MonkeyP
         def work(self, begin: int, end: int) -> None:
             """Do nothing."""
 
+        def hear(self, share: float, detail: str) -> None:
+            """Do nothing."""
+
     for _ in range(50):
         large = Large()
         freed = weakref.ref(large)
-        parallel.over_chunks(large.work, 2, 1)
+        with progress.listening(large.hear):
+            parallel.over_chunks(large.work, 2, 1)
         del large
         assert freed() is None
 
