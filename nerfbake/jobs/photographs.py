@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
-from nerfbake import catalog, io, progress
+from nerfbake import catalog, io, memory, progress
 from nerfbake.errors import InvalidFile, InvalidScene, Problem, UsageError
 from nerfbake.jobs.budgets import FRAMES
 from nerfbake.jobs.files import Source
@@ -15,17 +18,19 @@ from nerfbake.jobs.steps import Steps
 from nerfbake.jobs.views import picture_views, read_cameras
 from nerfbake.jobs.world import MovedWorld, WorldOptions, find_world
 from nerfbake.kernels.arrays import Floats
+from nerfbake.kernels.parallel import in_order
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.scene.splats import Splats
 from nerfbake.scene.views import Views
 from nerfbake.stages.field_and_views_to_views import cut_out_field
-from nerfbake.stages.pictures_to_views import Scenery, apply_mask, build_views, reduction_factor
+from nerfbake.stages.pictures_to_views import PosedPicture, Scenery, apply_mask, join_pictures, pose_picture
 from nerfbake.stages.renderers import KERNELS, Renderer
 from nerfbake.stages.scene_to_cameras import orbit_cameras, scatter_cameras
 from nerfbake.stages.views_to_error import ViewError, measure_views, plain_psnr
 
 HOLDOUT = 8  # every eighth view is held out if the capture has no test views
+_PIXEL_BYTES = 64  # a pixel of a picture while it is decoded: twice what a progressive JPEG with a mask needs
 _LEAST = 2  # lowest number of training views
 _IMAGES = "images/"  # the folder of a COLMAP model's pictures
 _CHECKED = 4  # views on which photographs and field are compared before the work
@@ -243,15 +248,15 @@ def _read(steps: Steps, path: str, photographs: PhotographOptions) -> Views:
     masks = None if photographs.masks is None else _masks(photographs.masks, cameras)
     with steps.phase(f"reading {len(files)} pictures"), io.blame(path):
         cameras.require_covered()
-        views = build_views(
+        pictures = _pictures(steps, path, cameras, files, masks)
+        views = join_pictures(
             cameras,
-            _pictures(steps, path, cameras, files, masks),
-            edge=MOST_EDGE,
+            pictures,
             background=photographs.background,
             scenery=photographs.scenery,
             rough=masks is not None,
         )
-    _say_extreme_alpha(steps, path, views)
+    _say_extreme_alpha(steps, path, views, [picture.alpha for picture in pictures])
     return views
 
 
@@ -261,14 +266,14 @@ def _say_unread(steps: Steps, path: str, read: str) -> None:
         steps.say(f"{path}: {file} is not read: {reason}")
 
 
-def _say_extreme_alpha(steps: Steps, path: str, views: Views) -> None:
+def _say_extreme_alpha(steps: Steps, path: str, views: Views, ranges: Sequence[tuple[int, int]]) -> None:
     """Print a warning for pictures that are transparent or opaque everywhere, if others show an object.
 
-    A mask or a rendering that failed is transparent, and empties all space that its camera sees.
+    A mask or a rendering that failed is transparent, and empties all space that its camera sees. ranges: the least and
+    the largest alpha of each picture.
     """
     if not views.masked or views.scenery:
         return
-    ranges = [(int(picture[..., 3].min()), int(picture[..., 3].max())) for picture in views.pictures]
     clear = [i for i, (_, most) in enumerate(ranges) if most == 0]
     opaque = [i for i, (least, _) in enumerate(ranges) if least == 255]
     for numbers, alpha, so in (
@@ -283,25 +288,32 @@ def _say_extreme_alpha(steps: Steps, path: str, views: Views) -> None:
 
 def _pictures(
     steps: Steps, path: str, cameras: Cameras, files: Sequence[Path], masks: Sequence[Path] | None
-) -> Iterator[Any]:
-    """Yield the pixels of each picture, with its mask as alpha. Only one picture and mask are in memory at a time.
+) -> list[PosedPicture]:
+    """Return the pictures, with their masks as alpha. Prints that large pictures are reduced.
 
-    Prints that build_views() reduces large pictures.
+    The cores decode them. As many are in memory at a time as have room there if all are as large as the first one.
     """
-    noted = False
-    for i, (camera, file) in enumerate(zip(cameras.cameras, files, strict=True)):
+
+    def read(number: int) -> PosedPicture:
+        camera = cameras.cameras[number]
         size = camera.width, camera.height
-        pixels = io.load_photograph(file, size)
+        pixels = io.load_photograph(files[number], size)
         if masks is not None:
-            mask = io.load_photograph(masks[i], size)
-            with io.blame(str(masks[i])):
+            mask = io.load_photograph(masks[number], size)
+            with io.blame(str(masks[number])):
                 pixels = apply_mask(pixels, mask)
-        if not noted and (factor := reduction_factor(pixels, MOST_EDGE)) > 1:
-            height, width = pixels.shape[:2]
-            sizes = f"from {width}x{height} to {width // factor}x{height // factor} pixels"
-            steps.say(f"{path}: reduces large pictures, such as {sizes}, each the mean of {factor}x{factor}")
-            noted = True
-        yield pixels
+        return pose_picture(camera, pixels, edge=MOST_EDGE)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Pillow; each thread does so for all threads, and undoes it at any time
+        found = [read(number) for number in range(min(1, len(files)))]
+        most = memory.left() // max(1, *(_PIXEL_BYTES * math.prod(picture.size) for picture in found))
+        found += in_order((partial(read, number) for number in range(1, len(files))), most=most)
+    if reduced := next((picture for picture in found if picture.factor > 1), None):
+        (width, height), factor = reduced.size, reduced.factor
+        sizes = f"from {width}x{height} to {width // factor}x{height // factor} pixels"
+        steps.say(f"{path}: reduces large pictures, such as {sizes}, each the mean of {factor}x{factor}")
+    return found
 
 
 def with_pictures(steps: Steps, path: str, cameras: Cameras) -> tuple[Cameras, list[Path]]:

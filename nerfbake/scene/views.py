@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.kernels.parallel import in_order
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.base import MAX_WORLD, Scene
 from nerfbake.scene.camera import Cameras
@@ -91,8 +93,12 @@ class Views(Scene):
 
     def side(self) -> float:
         """The square root of the mean number of pixels that show the object, or scenery."""
-        shown = (picture[..., 3].size - np.count_nonzero(self.behind(i)) for i, picture in enumerate(self.pictures))
+        shown = in_order(partial(self._shown, number) for number in range(len(self.pictures)))
         return float(np.sqrt(sum(shown) / max(len(self.pictures), 1)))
+
+    def _shown(self, number: int) -> int:
+        behind = self.behind(number)
+        return behind.size - int(np.count_nonzero(behind))
 
     def behind(self, number: int) -> npt.NDArray[np.bool_]:
         """(H, W) bool: the pixels of a picture that show only background: alpha 0, or its plain colour."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,21 @@ PLAIN_SHARE = 0.7  # of the pixels along the pictures' edges; below 1, because t
 
 Colour = tuple[float, float, float]
 Scenery = Literal["auto", "keep", "drop"]
+
+
+class PosedPicture(NamedTuple):
+    """A picture and its camera, in the picture's size.
+
+    size: width and height before it was reduced by `factor`. edge (m, 4): its outermost pixels. alpha: the least and
+    the largest one.
+    """
+
+    camera: Camera
+    packed: PackedPicture
+    size: tuple[int, int]
+    factor: int
+    edge: Pixels
+    alpha: tuple[int, int]
 
 
 def build_views(
@@ -41,7 +56,7 @@ def build_views(
     scenery: keep fits everything that the pictures show, where alpha is 255, over the mean of all these pixels; drop
     fits an object in front of a background; auto keeps it if the pictures show scenery behind the object and have no
     alpha, and no background was given. rough: alpha comes from masks that may cut off parts of the object. edge: the
-    pixels that the shorter edge of a picture may have; a larger picture is reduced by reduction_factor().
+    pixels that the shorter edge of a picture may have; a larger picture is reduced by a whole factor.
 
     Raises InvalidScene for a picture with another aspect ratio than its camera's, for scenery that is not to be kept,
     for pictures that show only background, and for a picture that has no pixel that is used.
@@ -55,22 +70,36 @@ def build_views(
     >>> views.cameras.cameras[0].fx, views.background, views.masked
     (5.0, (1.0, 1.0, 1.0), False)
     """
-    fitting, packed, edges, alphas = [], [], [], []
-    for camera, pixels in zip(cameras.cameras, pictures, strict=False):
-        camera = _resized(camera, pixels)
-        if edge is not None and (factor := reduction_factor(pixels, edge)) > 1:
-            from nerfbake.kernels.picture.reduction import reduced_picture  # here, because it imports numba
+    posed = [pose_picture(*each, edge=edge) for each in zip(cameras.cameras, pictures, strict=False)]
+    return join_pictures(cameras, posed, background=background, scenery=scenery, rough=rough)
 
-            camera, pixels = camera.reduced(factor), reduced_picture(pixels, factor)
-        fitting.append(camera)
-        packed.append(PackedPicture(pixels))
-        edges.append(_edge(pixels))
-        alphas.append((int(pixels[..., 3].min()), int(pixels[..., 3].max())))
+
+def pose_picture(camera: Camera, pixels: Pixels, *, edge: int | None = None) -> PosedPicture:
+    """Return one picture of build_views(). Raises InvalidScene, MemoryLimit."""
+    camera, (height, width), factor = _resized(camera, pixels), pixels.shape[:2], 1
+    if edge is not None and (factor := -(-min(width, height) // edge)) > 1:
+        from nerfbake.kernels.picture.reduction import reduced_picture  # here, because it imports numba
+
+        camera, pixels = camera.reduced(factor), reduced_picture(pixels, factor)
+    alpha = int(pixels[..., 3].min()), int(pixels[..., 3].max())
+    return PosedPicture(camera, PackedPicture(pixels), (width, height), factor, _edge(pixels), alpha)
+
+
+def join_pictures(
+    cameras: Cameras,
+    pictures: Sequence[PosedPicture],
+    *,
+    background: Colour | None = None,
+    scenery: Scenery = "auto",
+    rough: bool = False,
+) -> Views:
+    """Combine the pictures of all cameras, as build_views() does. Raises InvalidScene."""
+    fitting, packed, *_, edges, alphas = zip(*pictures, strict=True) if pictures else [()] * 6
     if len(packed) != len(cameras.cameras):
         raise InvalidScene(Problem("pictures", f"are {len(packed):,}", f"{len(cameras.cameras):,}, one a camera"))
     kept = PackedPictures(packed)
     masked = any(least < 255 for least, _ in alphas)
-    posed = replace(cameras, cameras=tuple(fitting))
+    posed = replace(cameras, cameras=fitting)
     if scenery == "keep" or (scenery == "auto" and not masked and background is None and not _is_plain(edges)):
         _require_used(posed, [most for _, most in alphas])
         return Views(posed, kept, background or _mean(kept), masked, True)
@@ -80,11 +109,6 @@ def build_views(
         found = "show nothing but the background"
         raise InvalidScene(Problem("the pictures", found, "an object in front of it in at least one picture"))
     return views
-
-
-def reduction_factor(pixels: Pixels, edge: int) -> int:
-    """Return the smallest whole number that reduces the shorter edge of a picture to at most `edge` pixels."""
-    return int(-(-min(pixels.shape[:2]) // edge))
 
 
 def _require_used(cameras: Cameras, most: Sequence[int]) -> None:

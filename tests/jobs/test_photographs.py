@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from threading import Barrier
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from PIL import Image as Pillow
 
-from nerfbake import Cameras, load
+from nerfbake import Cameras, io, load
 from nerfbake.errors import InvalidFile, InvalidScene, MemoryLimit, NerfbakeError, UsageError
 from nerfbake.io.reading import is_picture
 from nerfbake.jobs import PhotographOptions, Source
@@ -394,6 +396,28 @@ def test_large_pictures_are_reduced_with_their_masks(
     assert set(split.training.pictures[0][15, 8:34, 3].tolist()) == {0, 85, 255}
     said = "reduces large pictures, such as from 140x100 to 46x33 pixels, each the mean of 3x3"
     assert [line for line in listener.said if "reduces" in line] == [f"{capture}: {said}"]
+
+
+def test_the_cores_read_pictures_and_the_first_broken_one_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
+    both, load_photograph, filters = Barrier(2), io.load_photograph, list(warnings.filters)
+
+    def load_beside(path: Path, size: tuple[int, int]) -> Any:
+        if path.stem in ("r_1", "r_2"):
+            both.wait(10)
+        return load_photograph(path, size)
+
+    monkeypatch.setattr("nerfbake.io.load_photograph", load_beside)
+    capture = photographed(write_nerf_synthetic, tmp_path, many(9))
+    files = sorted(capture.rglob("*.png"))
+    read(capture)
+    assert warnings.filters == filters
+    for file in files[3:6]:
+        file.write_bytes(b"broken")
+    with pytest.raises(InvalidFile, match=f"^{files[3]}: the picture cannot be read"):
+        read(capture)
 
 
 def test_a_name_that_is_too_long_is_named(tmp_path: Path) -> None:
