@@ -34,7 +34,8 @@ _VIEW = np.dtype(  # the record `View` of view.wgsl
         ("rates", "f4", 4),
         ("parts", "f4", 8),
         ("ridge", "f4", 8),
-        ("counts", "u4", 8),
+        ("counts", "u4", 7),
+        ("tilt", "f4"),
         ("shells", "f4", (8, 2, 4)),
         ("spare", "u4", 4),
     ]
@@ -81,12 +82,13 @@ class Losses(NamedTuple):
 
 
 class UploadedView(NamedTuple):
-    """The pixels of a view on the device. pixels, bent: see rays.wgsl."""
+    """The pixels of a view on the device. pixels, bent: see rays.wgsl. tilt: see pinhole_directions()."""
 
     camera: Pixels
     size: int
     pixels: Buffer
     bent: Buffer | None
+    tilt: float = 0.0
 
 
 class DeviceVisit(NamedTuple):
@@ -285,7 +287,8 @@ class FitPasses:
         flags = _FRESH * visit.fresh | _BENT * (visit.view.bent is not None) | _COUNTED * counted
         bricks = cells.bricks
         r, shells = bricks.top.shape[1], len(bricks.low)
-        record["counts"] = visit.view.size, view.width, visit.samples, flags, r, shells, slot, 0
+        record["counts"] = visit.view.size, view.width, visit.samples, flags, r, shells, slot
+        record["tilt"] = visit.view.tilt
         record["shells"][:shells, 0, :3] = (view.eye - bricks.low) / bricks.size
         record["shells"][:shells, 1, :3], record["shells"][:shells, 1, 3] = bricks.size, bricks.width
         return record

@@ -36,13 +36,18 @@ _MAKERS = 8  # most threads that prepare pictures for a graphics device
 
 
 class Look(NamedTuple):
-    """A look at a picture. view: its number; scale, samples, ring: as in ray_targets(). again: the same comes later."""
+    """A look at a picture.
+
+    view: its number; scale, samples, ring: as in ray_targets(). again: the same pixels come later. tilt: of the rays of
+    a pixel, see pinhole_directions(); rays through a lens have none.
+    """
 
     view: int
     scale: int
     samples: int
     ring: int | None
     again: bool
+    tilt: float = 0.0
 
 
 class Visit(NamedTuple):
@@ -102,10 +107,10 @@ class CpuFit:
 
         def found() -> Iterator[RayTargets]:
             nonlocal targets
-            for view, scale, samples, ring, again in looks:
+            for view, scale, samples, ring, again, tilt in looks:
                 if targets is None:
                     targets = self._targets = KeptTargets(views, ring=ring)
-                yield targets.of(view, scale=scale, samples=samples, keep=again)
+                yield targets.of(view, scale=scale, samples=samples, keep=again, tilt=tilt)
 
         self._looks, self._background = prefetched(found()), np.array(views.background, np.float32)
 
@@ -270,7 +275,8 @@ def _uploaded(passes: fit.FitPasses, views: Views, looks: Iterator[Look]) -> Ite
                 held, scale = {}, look.scale
             if made is not None:
                 held[key] = _upload(passes, views, made.result(), look.samples, bent)
-            yield held[key]
+            found = held[key]
+            yield None if found is None else found._replace(tilt=look.tilt)
     finally:
         makers.shutdown(wait=True, cancel_futures=True)
 

@@ -53,8 +53,8 @@ class KeptTargets:
         self._kept: dict[int, UsedPixels] = {}
         self._room, self.size = memory.left() // _SHARE, 0
 
-    def of(self, view: int, *, scale: int, samples: int, keep: bool) -> RayTargets:
-        """Return the targets of a view. keep: they will be asked for again."""
+    def of(self, view: int, *, scale: int, samples: int, keep: bool, tilt: float = 0.0) -> RayTargets:
+        """Return the targets of a view. keep: they will be asked for again. tilt: as in pinhole_directions()."""
         if scale != self._scale:
             self._kept, self.size, self._scale = {}, 0, scale
         pixels = self._kept.get(view)
@@ -64,7 +64,7 @@ class KeptTargets:
             if keep and self.size + size <= self._room:
                 self._kept[view] = pixels
                 self.size += size
-        return _with_rays(pixels, samples)
+        return _with_rays(pixels, samples, tilt)
 
     def give_up(self) -> None:
         """Keep nothing from now on."""
@@ -97,8 +97,8 @@ def used_pixels(views: Views, view: int, scale: int, ring: int | None) -> UsedPi
     return UsedPixels(camera, pixels, image.reshape(-1, 4)[pixels])
 
 
-def _with_rays(pixels: UsedPixels, samples: int) -> RayTargets:
-    directions = _directions(pixels.camera, pixels.numbers, samples)
+def _with_rays(pixels: UsedPixels, samples: int, tilt: float = 0.0) -> RayTargets:
+    directions = _directions(pixels.camera, pixels.numbers, samples, tilt)
     return RayTargets(pixels.camera.pose[:3, 3].copy(), pixels.numbers, pixels.targets, directions)
 
 
@@ -110,14 +110,14 @@ def reduced_view(views: Views, view: int, scale: int) -> tuple[Camera, Singles]:
     return camera, image
 
 
-def _directions(camera: Camera, pixels: npt.NDArray[np.int32], samples: int) -> Singles:
-    if camera.bends:
+def _directions(camera: Camera, pixels: npt.NDArray[np.int32], samples: int, tilt: float) -> Singles:
+    if camera.bends:  # without the tilt: each one would need directions of the whole picture through the lens
         fine = camera.part(slice(0, camera.width), slice(0, camera.height), finer=samples)
         rays = fine.rays()[1].reshape(camera.height, samples, camera.width, samples, 3).transpose(0, 2, 1, 3, 4)
         return rays.reshape(-1, samples * samples * 3)[pixels].reshape(-1, 3).astype(np.float32)
     out = np.empty((len(pixels) * samples * samples, 3), np.float32)
     optics, turn = np.array([camera.fx, camera.fy, camera.cx, camera.cy]), np.ascontiguousarray(camera.pose[:3, :3])
-    kernels.pinhole_directions(pixels, camera.width, optics, turn, samples, out)
+    kernels.pinhole_directions(pixels, camera.width, optics, turn, samples, tilt, out)
     return out
 
 

@@ -49,6 +49,9 @@ _MOST = 0.2
 # In the stages with an object's smallest cells, residuals count less where their mean over neighbouring pixels is above
 # this: a reflection that only few views show, and that coefficients cannot represent, must not change the others.
 _MOST_MEAN = 0.05
+# In all epochs of a stage but the last, the four rays of a pixel are turned to the left and to the right in turn, to
+# (3, 1) eighths of a pixel from its middle: a fit to the same places in each epoch is worse between them.
+_TILT = 0.5
 _FEW = 32  # most views with scenery whose depths also decide about finer cells (docs/tuning.md)
 _RING = 1  # width in pixels of the ring around an object that is fitted, too
 
@@ -118,15 +121,17 @@ def continue_fit(
     point: float = _POINT,
     distortion: float = _OBJECT_DISTORTION,
     most_mean: float = _MOST_MEAN,
+    tilt: float = _TILT,
 ) -> Iterator[FitState]:
     """Take the steps that are left in the state's schedule. Yields the state after every picture, always the same one.
 
     point: weight of the loss of each cell's own colour. distortion: of the distortion loss of an object in the stages
     with its smallest cells, for places that are measured in cells. most_mean: the largest mean residual of neighbouring
-    pixels that counts in full, in the same stages. Raises InvalidScene, MemoryLimit.
+    pixels that counts in full, in the same stages. tilt: of the rays of a pixel, to one side and to the other, see
+    pinhole_directions(); in the last epoch of a stage they have none. Raises InvalidScene, MemoryLimit.
     """
     ring = None if views.scenery or views.rough else _RING  # rough masks leave cells outside the object
-    state.device.begin(views, _looks(state, len(views.pictures), ring))
+    state.device.begin(views, _looks(state, len(views.pictures), ring, tilt))
     losses = Losses(focus_distance(views, state.box), point, distortion, most_mean=most_mean, alpha=_alpha(views))
     while not state.done:
         if state.built < state.stage:
@@ -214,15 +219,16 @@ def _most_blamed(state: FitState, keep: Bits, share: float) -> Bits:
     return chosen & (blame >= 0)
 
 
-def _looks(state: FitState, views: int, ring: int | None) -> Iterator[Look]:
+def _looks(state: FitState, views: int, ring: int | None, tilt: float) -> Iterator[Look]:
     """Yield the looks at the pictures from the state's position to the end of its schedule."""
     schedule, seed, begin = state.schedule, state.seed, (state.stage, state.epoch, state.view)
     for number, stage in enumerate(schedule):
         for epoch in range(stage.epochs):
-            order = _order(seed, number, epoch, views)
+            order, again = _order(seed, number, epoch, views), epoch + 1 < stage.epochs
+            own = 0.0 if not again else -tilt if epoch % 2 else tilt
             for place in range(views):
                 if (number, epoch, place) >= begin:
-                    yield Look(int(order[place]), stage.scale, stage.rays, ring, epoch + 1 < stage.epochs)
+                    yield Look(int(order[place]), stage.scale, stage.rays, ring, again, own)
 
 
 def _order(seed: int, stage: int, epoch: int, views: int) -> Ints:

@@ -20,7 +20,7 @@ from nerfbake.kernels.fit.update import LearningRates, take_steps
 from nerfbake.kernels.march.sh import band_of
 from tests.kernels.fit.test_rays import bricks, smooth_bricks
 
-EDGE, SAMPLES, BACKGROUND = 24, 2, (1.0, 0.9, 0.8)
+EDGE, SAMPLES, TILT, BACKGROUND = 24, 2, 0.5, (1.0, 0.9, 0.8)
 OPTICS = 2.0 * EDGE, 2.0 * EDGE, EDGE / 2, EDGE / 2
 PARTS, RIDGE = (np.array(each, np.float32)[band_of(4)] for each in ((1.0, 0.4), (0.0, 0.004)))
 STEPS = LearningRates(0.1, 0.4, PARTS, RIDGE, float(SAMPLES**2))
@@ -50,7 +50,7 @@ class OnCpu:
 
     def visit(self, view: Pixels, losses: Losses, gains: Any) -> Any:
         directions = np.empty((len(view.numbers) * SAMPLES**2, 3), np.float32)
-        pinhole_directions(view.numbers, EDGE, np.array(OPTICS), view.turn, SAMPLES, directions)
+        pinhole_directions(view.numbers, EDGE, np.array(OPTICS), view.turn, SAMPLES, TILT, directions)
         targets, background = view.targets.copy(), np.array(BACKGROUND, np.float32)
         ground = (1 - targets[:, 3:]) * background
         targets[:, :3] = (targets[:, :3] - ground) / gains.astype(np.float32) + ground
@@ -67,7 +67,8 @@ def visited(gpu: Gpu, make: Callable[[], BrickGrid], views: int, losses: Losses,
     passes.upload(theirs.grid, theirs.means, theirs.seen)
     for seed in range(views):
         view = pixels(seed)
-        visit = DeviceVisit(passes.upload_view(view), SAMPLES, losses, gains, STEPS, seed == 0)
+        uploaded = passes.upload_view(view)._replace(tilt=TILT)
+        visit = DeviceVisit(uploaded, SAMPLES, losses, gains, STEPS, seed == 0)
         sums = own.visit(view, losses, gains)
         assert_allclose(passes.visit([visit], counted=True)[0], sums, rtol=1e-5 if views == 1 else 1e-3)
     passes.read_back(theirs.grid, theirs.means, theirs.seen)

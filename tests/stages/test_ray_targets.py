@@ -1,10 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import Views, build_field, fit_field, memory_limit, orbit_cameras, render_field, sample_n3tree
 from nerfbake.scene.packed_pictures import PackedPictures
@@ -32,6 +33,21 @@ def test_kept_targets_are_those_of_the_picture_at_every_scale(views: Views, ring
         for view in (2, 0, 1):
             fresh = ray_targets(views, view, scale=scale, samples=samples, ring=ring)
             assert same(kept.of(view, scale=scale, samples=samples, keep=True), fresh)
+
+
+@pytest.mark.parametrize(
+    ("tilt", "places"), [(0.5, ((-3, -1), (1, -3), (-1, 3), (3, 1))), (-0.5, ((-1, -3), (3, -1), (-3, 1), (1, 3)))]
+)
+def test_tilted_rays_go_through_a_turned_square(views: Views, tilt: float, places: tuple[tuple[int, int], ...]) -> None:
+    own = views.take([1])
+    tilted = KeptTargets(own, ring=None).of(0, scale=1, samples=2, keep=False, tilt=tilt)
+    camera = own.cameras.cameras[0]
+    for ray, (x, y) in enumerate(places):
+        moved = replace(camera, centre=(camera.cx - x / 8, camera.cy - y / 8))
+        single = replace(own, cameras=replace(own.cameras, cameras=(moved,)))
+        wanted = ray_targets(single, 0, scale=1, samples=1, ring=None)
+        assert_array_equal(tilted.targets, wanted.targets)
+        assert_allclose(tilted.directions[ray::4], wanted.directions, atol=1e-7)
 
 
 def test_targets_are_computed_once_as_long_as_they_fit(views: Views, monkeypatch: pytest.MonkeyPatch) -> None:

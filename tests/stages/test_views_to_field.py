@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from nerfbake import (
     fit_field,
     measure_views,
     memory_limit,
+    refit_bricks,
     render_field,
 )
 from nerfbake.errors import InvalidScene, MemoryLimit
@@ -26,6 +28,7 @@ from nerfbake.scene.camera import Cameras
 from nerfbake.scene.lens import Lens
 from nerfbake.scene.schedule import Schedule, parse_schedule
 from nerfbake.stages import views_to_field
+from nerfbake.stages._fit_devices import CpuFit, Look
 from nerfbake.stages.views_to_field import FitState, continue_fit, measure_state
 from tests.support.views import sample_views
 
@@ -139,6 +142,23 @@ def test_a_fit_goes_on_from_any_view_to_the_same_bytes() -> None:
         rest = list(fit_field(sample_views(), schedule=SHORT, start=FitState.of_arrays(arrays)))
         assert len(rest) == 36 - turn - 1
         assert same(rest[-1].field(), whole), turn
+
+
+def test_rays_are_tilted_in_all_epochs_of_a_stage_but_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[Look] = []
+    begin = CpuFit.begin
+
+    def noted(self: CpuFit, views: Views, looks: Iterator[Look]) -> None:
+        found[:] = looks
+        begin(self, views, iter(found))
+
+    monkeypatch.setattr(CpuFit, "begin", noted)
+    views = sample_views()
+    state = last(views, parse_schedule("cells=8,epochs=1/cells=16,epochs=4,rays=2"))
+    count = len(views.pictures)
+    assert [look.tilt for look in found] == np.repeat([0, 0.5, -0.5, 0.5, 0], count).tolist()
+    list(refit_bricks(state.field(), views, epochs=2))
+    assert [look.tilt for look in found] == [0] * (2 * count)
 
 
 def test_seeds_make_other_fits() -> None:

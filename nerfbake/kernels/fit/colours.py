@@ -79,18 +79,21 @@ def number_pixels(held: Bits, tiles: Ints, pixels: npt.NDArray[np.int32]) -> int
 
 @compiled()
 def pinhole_directions(
-    pixels: npt.NDArray[np.int32], width: int, optics: Floats, turn: Floats, samples: int, out: Singles
+    pixels: npt.NDArray[np.int32], width: int, optics: Floats, turn: Floats, samples: int, tilt: float, out: Singles
 ) -> None:
     """Fill `out` (pixels samples^2, 3) with unit directions at fixed places in each pixel.
 
-    optics: fx, fy, cx, cy; turn (3, 3): the axes of the camera in the world, as columns, of any length.
+    optics: fx, fy, cx, cy; turn (3, 3): the axes of the camera in the world, as columns, of any length. tilt: a place
+    (x, y) from the middle of its pixel moves by tilt (y, -x).
     """
     ray = 0
     for pixel in pixels:
         for j in range(samples):
-            y = -(pixel // width + (j + 0.5) / samples - optics[3]) / optics[1]
             for i in range(samples):
-                x = (pixel % width + (i + 0.5) / samples - optics[2]) / optics[0]
+                across = (i + 0.5) / samples + tilt * ((j + 0.5) / samples - 0.5)
+                down = (j + 0.5) / samples - tilt * ((i + 0.5) / samples - 0.5)
+                x = (pixel % width + across - optics[2]) / optics[0]
+                y = -(pixel // width + down - optics[3]) / optics[1]
                 v0 = x * turn[0, 0] + y * turn[0, 1] - turn[0, 2]
                 v1 = x * turn[1, 0] + y * turn[1, 1] - turn[1, 2]
                 v2 = x * turn[2, 0] + y * turn[2, 1] - turn[2, 2]

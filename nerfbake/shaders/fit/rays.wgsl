@@ -27,7 +27,8 @@ fn directionOf(pixel: u32, ray: u32) -> vec3f {
     } else {
         let corner = vec2f(f32(number % view.width), f32(number / view.width));
         let within = (vec2f(f32(ray % view.samples), f32(ray / view.samples)) + 0.5) / f32(view.samples);
-        let slope = (corner + within - view.optics.zw) / view.optics.xy;
+        let moved = within + view.tilt * vec2f(within.y - 0.5, 0.5 - within.x);
+        let slope = (corner + moved - view.optics.zw) / view.optics.xy;
         look = vec3f(slope.x, -slope.y, -1.0);
     }
     return normalize(vec3f(dot(view.turn[0].xyz, look), dot(view.turn[1].xyz, look), dot(view.turn[2].xyz, look)));

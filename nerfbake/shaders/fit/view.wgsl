@@ -30,7 +30,7 @@ struct View {
     edge: u32,                // bricks along an axis of a shell
     shellCount: u32,
     slot: u32,                // of the view in `totals`
-    spare: u32,
+    tilt: f32,                // a ray at (x, y) from the middle of its pixel moves by tilt (y, -x)
     shells: array<Shell, SHELLS>,
 }
 
