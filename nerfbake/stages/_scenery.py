@@ -24,7 +24,7 @@ WALL = 3.0  # density per cell width of the outermost cells, which show whatever
 _LEAST = 3  # views that must see a cell that is not part of the wall
 _CLEAR = 0.25  # of the distance that the cameras look at: no fog starts that close to a camera
 _CELL_BYTES = 40
-_VOTE_BYTES = 200  # per cell, while depth maps are compared with it
+_PLACE_BYTES, _FRAME_BYTES = 96, 32  # per cell, while its place is computed; of its centre and width
 
 
 class SceneryStart(NamedTuple):
@@ -89,8 +89,10 @@ def follow_depths(cells: BrickCells, maps: list[DepthMap], box: Points) -> Brick
     box: the inner cube. Raises MemoryLimit.
     """
     with memory.scope():
-        memory.require(f"depths of {cells.n:,} cells", _VOTE_BYTES * cells.n)
-        votes, wall = vote(maps, *_frames(cells)), wall_of(cells)
+        memory.require(f"places of {cells.n:,} cells", _PLACE_BYTES * cells.n)
+        wall = wall_of(cells)
+        memory.hold(f"depths of {cells.n:,} cells", _FRAME_BYTES * cells.n)
+        votes = vote(maps, *_frames(cells))
     _thicken(cells, votes.surface & ~wall, _SURFACE)
     keep, bricks = wall | ~votes.empty, cells.bricks
     if keep.all() or not keep.any():

@@ -15,7 +15,7 @@ from nerfbake import memory
 from nerfbake.kernels.arrays import Bits, Floats, Points, Singles
 from nerfbake.kernels.fit.stereo import compare_planes, smooth_costs
 from nerfbake.kernels.maths.affine import rotate
-from nerfbake.kernels.parallel import over_chunks
+from nerfbake.kernels.parallel import cores, over_chunks
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
 from nerfbake.stages._ray_targets import reduced_view
@@ -37,7 +37,7 @@ _LEAST_VIEWS = 5  # fewer ones that are far apart agree as little as ones with w
 _LEAST_ALIKE = 0.1  # share of all pixels; with fewer ones, there is too little texture to tell whether poses are right
 _CONFIRMED = 0.12  # of the pixels that look alike, the least share whose depth is confirmed unless a picture is alone
 _PIXEL_BYTES = 28  # a picture in grey, two depth maps, and the sky
-_CELLS = 1 << 14  # that a core looks at in all maps at a time
+_CELLS, _VOTE_BYTES = 1 << 14, 240  # cells that a core looks at in all maps at a time; for each of them
 HALF_DIAGONAL = 0.87  # of a cell of width 1
 _FAR_STEPS = 3  # of a depth that is known; farther surfaces lie between the last few planes
 
@@ -130,8 +130,10 @@ def vote(maps: list[DepthMap], centre: Points, widths: Floats) -> Votes:
     """Return what the maps say about cells of these widths (n,) around these centres (n, 3).
 
     A surface lies in a cell if at least a third of the views that know the depth there see it in the cell, or if none
-    of them knows it, but the pixels around suggest it.
+    of them knows it, but the pixels around suggest it. Raises MemoryLimit.
     """
+    at_a_time = min(len(centre), cores() * _CELLS)
+    memory.require(f"depths of {at_a_time:,} cells at a time", 2 * len(centre) + _VOTE_BYTES * at_a_time)
     empty, surface = np.empty(len(centre), bool), np.empty(len(centre), bool)
 
     def count(begin: int, end: int) -> None:

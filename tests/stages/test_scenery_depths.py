@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -151,6 +152,23 @@ def test_finer_cells_follow_the_depths(maps: list[DepthMap]) -> None:
     assert (density[seen & (np.abs(z) < 0.2)] == np.float32(0.3)).all()
     assert (density[z < -1] == np.float32(0.01)).all()
     assert np.count_nonzero(z < -1) == 32 * 32 * 12
+
+
+def test_following_depths_needs_the_memory_that_it_asks_for(
+    maps: list[DepthMap], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+    solid = np.zeros((64, 64, 64), bool)
+    solid[:, :, :24] = True  # below the ground, so that no cell is dropped
+    cells = cells_of_solid(solid, BOX, 1, 0.01)
+    tracemalloc.start()
+    assert follow_depths(cells, maps, BOX) is cells
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    with memory_limit(int(1.1 * peak)):
+        follow_depths(cells, maps, BOX)
+    with memory_limit(int(0.9 * peak)), pytest.raises(MemoryLimit, match="places of 98,304 cells"):
+        follow_depths(cells, maps, BOX)
 
 
 @pytest.mark.slow
