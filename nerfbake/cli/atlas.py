@@ -2,18 +2,61 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import click
 
 from nerfbake import io
-from nerfbake.cli.params import as_json, console_options, seed, stage1_arguments, surface_budget_options, without_effect
+from nerfbake.cli.params import (
+    Command,
+    as_json,
+    console_options,
+    max_memory,
+    seed,
+    surface_budget_options,
+    without_effect,
+)
+from nerfbake.cli.paths import Reads, Stage1AndFolder
 from nerfbake.console import Console
 from nerfbake.jobs.files import FolderTarget, Stage1Source
 
 
+def _arguments(function: Command) -> Command:
+    """Add [STAGE1_DIR] OUT_DIR, --feature, --mlp, --transforms and --force; pass the command `source` and `target`."""
+
+    @click.argument("folders", metavar="[STAGE1_DIR] OUT_DIR", nargs=-1, type=Stage1AndFolder())
+    @click.option(
+        "--feature", "features", multiple=True, type=Reads(), help="Feature texture. Repeat for each cascade."
+    )
+    @click.option(
+        "--mlp", type=Reads(), help="The mlp.json for --feature. The two options together replace STAGE1_DIR."
+    )
+    @click.option(
+        "--transforms", type=Reads(), help="Training cameras: a transforms.json in the mesh's world coordinates."
+    )
+    @click.option("--force", is_flag=True, help="Replace OUT_DIR if nerfbake wrote all that it contains.")
+    @max_memory
+    @functools.wraps(function)
+    def command(
+        *args: object,
+        folders: tuple[str, ...],
+        features: tuple[str, ...],
+        mlp: str | None,
+        transforms: str | None,
+        force: bool,
+        **others: object,
+    ) -> object:
+        if bool(features) != bool(mlp) or len(folders) != 2 - bool(mlp):
+            raise click.UsageError("give STAGE1_DIR and OUT_DIR, or OUT_DIR with --feature and --mlp")
+        source = Stage1Source("" if mlp else folders[0], features, mlp, transforms)
+        return function(*args, source=source, target=FolderTarget(folders[-1], force), **others)
+
+    return command
+
+
 @click.command()
-@stage1_arguments
+@_arguments
 @click.option(
     "--method",
     type=click.Choice(["kmeans", "affine", "grid"]),

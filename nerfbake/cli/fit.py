@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from nerfbake import io
 from nerfbake.cli.params import (
-    CAPTURE,
     Box,
-    Command,
     NumberRange,
     as_json,
     bundled,
@@ -24,8 +21,8 @@ from nerfbake.cli.params import (
     target_argument,
     without_effect,
 )
-from nerfbake.cli.paths import MeshOutput, PhotographsPath, Reads, StateFolder, Writes
-from nerfbake.cli.render import Background
+from nerfbake.cli.paths import MeshOutput, PhotographsPath, StateFolder, Writes
+from nerfbake.cli.picture_params import photograph_options, ray_samples
 from nerfbake.cli.reports import require_chart, save_bytes
 from nerfbake.cli.world_params import world_options
 from nerfbake.console import Console
@@ -34,88 +31,6 @@ from nerfbake.jobs.files import Source, Target
 if TYPE_CHECKING:
     from nerfbake.jobs.fit_options import FitOptions
     from nerfbake.jobs.fits import FitResult
-    from nerfbake.jobs.fitted_pictures import FittedPictures
-
-
-class FitBackground(Background):
-    """auto, white, black, or R,G,B in 0..255."""
-
-    known: ClassVar = {"auto": None, "white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
-
-
-photograph_options = bundled(
-    "photographs",
-    "jobs.photographs.PhotographOptions",
-    click.option(
-        "--background",
-        type=FitBackground(),
-        default="auto",
-        show_default=True,
-        help="Background behind the object: white, black or R,G,B. auto: white for pictures with alpha, else the "
-        "colour at the edges of the pictures.",
-    ),
-    click.option(
-        "--masks",
-        metavar="DIR",
-        type=Reads(),
-        help="Folder with a mask NAME.png for each picture, white where the object is, or where a picture with scenery "
-        "is used.",
-    ),
-    click.option(
-        "--test",
-        metavar="CAPTURE",
-        type=PhotographsPath(readable=False),
-        help="Other cameras, with the held-out views on which the result is measured.",
-    ),
-    click.option(
-        "--holdout",
-        metavar="N",
-        type=click.IntRange(min=2),
-        help="Hold out every N-th view to measure the result.  [default: 8; none if the capture has test views]",
-    ),
-)
-
-
-def _check_pictures(pictures: FittedPictures) -> None:
-    if pictures.views is None:
-        allowed = "it with --views"
-        without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
-    else:
-        without_effect("frames", "edge", here="with --views", allowed="--frames and --edge without --views")
-
-
-def training_picture_options(fitted: str, kind: str) -> Callable[[Command], Command]:
-    """Add --views with photograph_options, --frames, --edge and --device; pass the command `pictures`.
-
-    fitted: what the photographs of --views are, for the help. kind: the class of `pictures`, as for bundled().
-    """
-    return bundled(
-        "pictures",
-        kind,
-        click.option(
-            "--views",
-            metavar="CAPTURE",
-            type=PhotographsPath(),
-            help=f"{fitted}: {CAPTURE}.  [default: pictures of IN, from all sides]",
-        ),
-        click.option(
-            "--frames",
-            type=click.IntRange(2, 1000),
-            default=100,
-            show_default=True,
-            help="Without --views: number of pictures of IN to render.",
-        ),
-        click.option(
-            "--edge",
-            type=click.IntRange(8, 4096),
-            default=400,
-            show_default=True,
-            help="Without --views: width and height of these pictures, in pixels.",
-        ),
-        device_option,
-        photograph_options,
-        check=_check_pictures,
-    )
 
 
 def _check_schedule(options: FitOptions) -> None:
@@ -151,14 +66,7 @@ fit_options = bundled(
         type=sh_bases,
         help="Spherical-harmonics basis of the colours.  [default: SH9; SH16 with --preset best, without scenery]",
     ),
-    click.option(
-        "--samples",
-        type=click.IntRange(1, 2),
-        default=2,
-        show_default=True,
-        help="Rays along each edge of a pixel. Choose the value that OUT will be rendered with: 2 for photographs, "
-        "whose pixels are averages.",
-    ),
+    ray_samples,
     click.option(
         "--box",
         type=Box(),

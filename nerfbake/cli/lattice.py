@@ -7,7 +7,15 @@ from typing import Any
 import click
 
 from nerfbake.cli.function_params import function_options
-from nerfbake.cli.params import NumberRange, Resolution, budget_options, console_options, seed, source_argument
+from nerfbake.cli.params import (
+    Resolution,
+    budget_options,
+    console_options,
+    folder_argument,
+    seed,
+    sigma_min,
+    source_argument,
+)
 from nerfbake.cli.paths import JudgedOutput
 from nerfbake.console import Console
 from nerfbake.jobs.files import FolderTarget, Source
@@ -15,14 +23,13 @@ from nerfbake.jobs.files import FolderTarget, Source
 
 @click.command()
 @source_argument
-@click.argument("target", metavar="OUT_DIR", type=JudgedOutput())
-@click.option("--force", is_flag=True, help="Replace OUT_DIR if nerfbake wrote all that it contains.")
+@folder_argument(JudgedOutput)
 @click.option(
     "--resolution",
     type=Resolution(),
     help="Voxels along each axis of a PlenOctree, 1 to 4096.  [default: its finest, at most 256]",
 )
-@click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves below this density (1/world unit) as empty.")
+@sigma_min
 @click.option(
     "--rounds",
     type=click.IntRange(1, 100_000),
@@ -35,7 +42,7 @@ from nerfbake.jobs.files import FolderTarget, Source
 @function_options("resolution")
 @budget_options
 @console_options
-def lattice(source: Source, target: str, force: bool, console: Console, **options: Any) -> None:
+def lattice(source: Source, target: FolderTarget, console: Console, **options: Any) -> None:
     """Convert a field or splats to a PlenVDB folder.
 
     Writes OUT_DIR, a lattice with an MLP in the layout that PlenVDB trains and renders.
@@ -47,4 +54,4 @@ def lattice(source: Source, target: str, force: bool, console: Console, **option
 
     from nerfbake.jobs.lattices import bake_lattice
 
-    bake_lattice(source, FolderTarget(target, force), steps=console, **options)
+    bake_lattice(source, target, steps=console, **options)

@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.fit import training_picture_options
 from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     Box,
-    Number,
     ParamType,
     as_json,
     console_options,
@@ -21,6 +19,7 @@ from nerfbake.cli.params import (
     without_effect,
 )
 from nerfbake.cli.paths import MeshOutput, Reads
+from nerfbake.cli.picture_params import held_out_psnr, training_picture_options
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
@@ -49,6 +48,16 @@ class TriangleCounts(ParamType[tuple[int, ...]]):
         return found
 
 
+texture_option = click.option(
+    "--texture",
+    metavar="EDGE",
+    type=click.IntRange(16, 8192),
+    default=2048,
+    show_default=True,
+    help="Texels along an edge of the mesh's texture.",
+)
+
+
 @click.command()
 @source_argument
 @click.argument("target", metavar="OUT", type=MeshOutput())
@@ -67,14 +76,7 @@ class TriangleCounts(ParamType[tuple[int, ...]]):
     help="Levels of detail in one .glb (MSFT_lod): numbers of triangles, the largest first. Each level has a texture "
     "of its own, half as wide as that of the level before. Viewers without the extension show the first.",
 )
-@click.option(
-    "--texture",
-    metavar="EDGE",
-    type=click.IntRange(16, 8192),
-    default=2048,
-    show_default=True,
-    help="Texels along an edge of the texture.",
-)
+@texture_option
 @click.option(
     "--box",
     type=Box(),
@@ -103,12 +105,7 @@ class TriangleCounts(ParamType[tuple[int, ...]]):
     type=click.Choice(["png", "jpeg", "webp"]),
     help="Coding of the texture; webp only in a .glb (EXT_texture_webp).  [default: jpeg, in a folder png]",
 )
-@click.option(
-    "--min-psnr",
-    type=Number(),
-    help="Lowest allowed PSNR of OUT on the held-out views in dB. Below it, OUT is renamed to OUT.rejected (exit code "
-    "3).",
-)
+@held_out_psnr
 @function_options("box")
 @seed
 @as_json

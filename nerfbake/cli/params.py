@@ -19,11 +19,11 @@ from click.core import ParameterSource
 from click.types import FloatParamType
 
 from nerfbake import catalog, memory
-from nerfbake.cli.paths import Capture, JudgedOutput, MeshOutput, Reads, Stage1AndFolder
+from nerfbake.cli.paths import Capture, JudgedOutput, MeshOutput, Reads, Writes
 from nerfbake.console import Console, Mode
 from nerfbake.errors import format_size
 from nerfbake.jobs.budgets import Budget
-from nerfbake.jobs.files import FolderTarget, Source, Stage1Source, Target
+from nerfbake.jobs.files import FolderTarget, Source, Target
 
 if TYPE_CHECKING:
     from click import ParamType as ParamType
@@ -230,37 +230,19 @@ def source_argument(function: Command) -> Command:
     return command
 
 
-def stage1_arguments(function: Command) -> Command:
-    """Add [STAGE1_DIR] OUT_DIR, --feature, --mlp, --transforms and --force; pass the command `source` and `target`."""
+def folder_argument(output: type[Writes] = Writes) -> Callable[[Command], Command]:
+    """Add the argument OUT_DIR and --force; pass the command `target`, a FolderTarget. output: the type of its path."""
 
-    @click.argument("folders", metavar="[STAGE1_DIR] OUT_DIR", nargs=-1, type=Stage1AndFolder())
-    @click.option(
-        "--feature", "features", multiple=True, type=Reads(), help="Feature texture. Repeat for each cascade."
-    )
-    @click.option(
-        "--mlp", type=Reads(), help="The mlp.json for --feature. The two options together replace STAGE1_DIR."
-    )
-    @click.option(
-        "--transforms", type=Reads(), help="Training cameras: a transforms.json in the mesh's world coordinates."
-    )
-    @click.option("--force", is_flag=True, help="Replace OUT_DIR if nerfbake wrote all that it contains.")
-    @max_memory
-    @functools.wraps(function)
-    def command(
-        *args: object,
-        folders: tuple[str, ...],
-        features: tuple[str, ...],
-        mlp: str | None,
-        transforms: str | None,
-        force: bool,
-        **others: object,
-    ) -> object:
-        if bool(features) != bool(mlp) or len(folders) != 2 - bool(mlp):
-            raise click.UsageError("give STAGE1_DIR and OUT_DIR, or OUT_DIR with --feature and --mlp")
-        source = Stage1Source("" if mlp else folders[0], features, mlp, transforms)
-        return function(*args, source=source, target=FolderTarget(folders[-1], force), **others)
+    def add(function: Command) -> Command:
+        @click.argument("target", metavar="OUT_DIR", type=output())
+        @click.option("--force", is_flag=True, help="Replace OUT_DIR if nerfbake wrote all that it contains.")
+        @functools.wraps(function)
+        def command(*args: object, target: str, force: bool, **others: object) -> object:
+            return function(*args, target=FolderTarget(target, force), **others)
 
-    return command
+        return command
+
+    return add
 
 
 def target_argument(
@@ -310,7 +292,9 @@ samples = click.option(
     help="Rays along each edge of a pixel: N x N per pixel, averaged.  [default: from the cameras, else 1]",
 )
 
-
+sigma_min = click.option(
+    "--sigma-min", type=NumberRange(min=0), help="Treat leaves below this density (1/world unit) as empty."
+)
 min_psnr = click.option(
     "--min-psnr",
     type=Number(),

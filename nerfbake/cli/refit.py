@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.fit import photograph_options
 from nerfbake.cli.params import (
     CAPTURE,
     as_json,
@@ -20,6 +19,7 @@ from nerfbake.cli.params import (
     without_effect,
 )
 from nerfbake.cli.paths import PhotographsPath, Reads
+from nerfbake.cli.picture_params import photograph_options, ray_samples, rendered_options, require_photographs
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
 
@@ -30,29 +30,14 @@ if TYPE_CHECKING:
 def _check_reference(reference: RefitReference) -> None:
     if reference.like is None:
         without_effect("frames", "edge", here="without --like", allowed="--frames and --edge with --like")
-    if reference.views is None:
-        allowed = "it with --views"
-        without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
+    require_photographs(reference.views)
 
 
 reference_options = bundled(
     "reference",
     "jobs.refits.RefitReference",
     click.option("--like", metavar="BIGGER", type=Reads(), help="Finer scene or splats that OUT is fitted to."),
-    click.option(
-        "--frames",
-        type=click.IntRange(2, 1000),
-        default=100,
-        show_default=True,
-        help="With --like: number of pictures of BIGGER to render, from all sides.",
-    ),
-    click.option(
-        "--edge",
-        type=click.IntRange(8, 4096),
-        default=400,
-        show_default=True,
-        help="With --like: width and height of these pictures, in pixels.",
-    ),
+    *rendered_options("With --like", "BIGGER to render, from all sides"),
     click.option(
         "--views",
         metavar="SOURCE",
@@ -71,13 +56,7 @@ reference_options = bundled(
 @click.option(
     "--epochs", type=click.IntRange(1, 100), default=2, show_default=True, help="Number of passes over the pictures."
 )
-@click.option(
-    "--samples",
-    type=click.IntRange(1, 2),
-    default=2,
-    show_default=True,
-    help="Rays along each edge of a pixel. Choose the value that OUT will be rendered with.",
-)
+@ray_samples
 @device_option
 @seed
 @as_json

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from nerfbake.cli.params import console_options, max_memory, seed, sh_bases, target_argument
+from nerfbake.cli.params import console_options, folder_argument, max_memory, seed, sh_bases, target_argument
 from nerfbake.cli.paths import Writes
 from nerfbake.console import Console
 from nerfbake.jobs.files import FolderTarget, Target
@@ -47,13 +47,12 @@ def octree(target: Target, console: Console, **options: Any) -> None:
 
 
 @sample.command()
-@click.argument("target", metavar="OUT_DIR", type=Writes())
+@folder_argument()
 @click.option("--resolution", type=int, default=512, show_default=True, help="Texels along each edge of the textures.")
 @seed
-@click.option("--force", is_flag=True, help="Replace OUT_DIR if nerfbake wrote all that it contains.")
 @max_memory
 @console_options
-def nerf2mesh(target: str, force: bool, console: Console, **options: Any) -> None:
+def nerf2mesh(target: FolderTarget, console: Console, **options: Any) -> None:
     """Write a nerf2mesh folder of a glossy torus.
 
     Writes OUT_DIR with a mesh, textures, and an MLP that is fitted to the highlights.
@@ -64,7 +63,7 @@ def nerf2mesh(target: str, force: bool, console: Console, **options: Any) -> Non
 
     from nerfbake.jobs.samples import write_sample_stage1
 
-    write_sample_stage1(FolderTarget(target, force), steps=console, **options)
+    write_sample_stage1(target, steps=console, **options)
 
 
 @sample.command()

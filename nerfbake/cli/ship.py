@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.fit import training_picture_options
 from nerfbake.cli.function_params import function_options
-from nerfbake.cli.mesh import TriangleCounts
-from nerfbake.cli.params import CAPTURE, ParamType, as_json, bundled, console_options, source_argument
-from nerfbake.cli.paths import Capture, Writes
+from nerfbake.cli.mesh import TriangleCounts, texture_option
+from nerfbake.cli.params import CAPTURE, ParamType, as_json, bundled, console_options, folder_argument, source_argument
+from nerfbake.cli.paths import Capture
+from nerfbake.cli.picture_params import training_picture_options
 from nerfbake.cli.splats import SplatCount
 from nerfbake.console import Console
 from nerfbake.errors import UsageError
@@ -39,7 +39,7 @@ class Targets(ParamType[tuple[str, ...]]):
 
 @click.command()
 @source_argument
-@click.argument("folder", metavar="OUT_DIR", type=Writes())
+@folder_argument()
 @click.option(
     "--for",
     "targets",
@@ -47,7 +47,6 @@ class Targets(ParamType[tuple[str, ...]]):
     required=True,
     help="Who gets the files: some of blender, web, ios, unity, omniverse, archive, separated by commas.",
 )
-@click.option("--force", is_flag=True, help="Replace OUT_DIR if nerfbake wrote all that it contains.")
 @bundled(
     "options",
     "jobs.shipments.ShipmentOptions",
@@ -65,14 +64,7 @@ class Targets(ParamType[tuple[str, ...]]):
         callback=lambda ctx, param, value: value[0],
         help="Largest number of triangles of the mesh, for example 20k.",
     ),
-    click.option(
-        "--texture",
-        metavar="EDGE",
-        type=click.IntRange(16, 8192),
-        default=2048,
-        show_default=True,
-        help="Texels along an edge of the mesh's texture.",
-    ),
+    texture_option,
 )
 @training_picture_options("Photographs that mesh and splats are fitted to", "jobs.shipments.ShippedViews")
 @click.option(
@@ -84,7 +76,7 @@ class Targets(ParamType[tuple[str, ...]]):
 @function_options()
 @as_json
 @console_options
-def ship(source: Source, folder: str, force: bool, as_json: bool, console: Console, **options: Any) -> None:
+def ship(source: Source, target: FolderTarget, as_json: bool, console: Console, **options: Any) -> None:
     """Make files for others, with a receipt.
 
     Writes the files that Blender, web pages, iPhones, Unity, Omniverse or an archive need of the scene IN to OUT_DIR.
@@ -104,4 +96,4 @@ def ship(source: Source, folder: str, force: bool, as_json: bool, console: Conso
         if as_json:
             io.print_json(found.facts)
 
-    ship_file(source, FolderTarget(folder, force), steps=console, report=report, **options)
+    ship_file(source, target, steps=console, report=report, **options)

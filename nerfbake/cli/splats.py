@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nerfbake import io
-from nerfbake.cli.fit import training_picture_options
 from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
     Box,
-    Number,
     ParamType,
     as_json,
     bundled,
@@ -23,6 +21,7 @@ from nerfbake.cli.params import (
     without_effect,
 )
 from nerfbake.cli.paths import Reads
+from nerfbake.cli.picture_params import held_out_psnr, training_picture_options
 from nerfbake.cli.splat_files import splat_file_options
 from nerfbake.console import Console
 from nerfbake.jobs.files import Source, Target
@@ -126,11 +125,7 @@ class Moves(ParamType["tuple[Move, ...]"]):
     show_default=True,
     help="Number of passes over the pictures. 0: splats of IN are merged, and not fitted.",
 )
-@click.option(
-    "--min-psnr",
-    type=Number(),
-    help="Lowest allowed PSNR on the held-out views in dB. Below it, OUT is renamed to OUT.rejected (exit code 3).",
-)
+@held_out_psnr
 @function_options("box")
 @seed
 @max_memory

@@ -15,6 +15,8 @@ from nerfbake.cli.params import (
     console_options,
     octree_target_argument,
     reading_options,
+    sh_bases,
+    sigma_min,
     source_argument,
 )
 from nerfbake.console import Console
@@ -50,7 +52,7 @@ RESAMPLE = (
     show_default=True,
     help="Number type of the values in OUT.",
 )
-@click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves below this density (1/world unit) as empty.")
+@sigma_min
 @reading_options(
     click.option(
         "--box",
@@ -62,7 +64,7 @@ RESAMPLE = (
     ),
     click.option(
         "--basis",
-        type=click.Choice(["SH1", "SH4", "SH9", "SH16", "SH25"]),
+        type=sh_bases,
         help="Spherical-harmonics basis of the colours (lattices and splats only).  [default: SH9; that of the splats]",
     ),
     click.option(

@@ -8,13 +8,13 @@ import click
 
 from nerfbake.cli.function_params import function_options
 from nerfbake.cli.params import (
-    NumberRange,
     PartBox,
     Resolution,
     budget_options,
     codec_option,
     console_options,
     reading_options,
+    sigma_min,
     source_argument,
     target_argument,
 )
@@ -40,7 +40,7 @@ GRIDS = (
     help="Voxels along each axis of a PlenOctree.  [default: its finest; twice that of a lattice; 256 along the longest"
     " axis of splats, fewer if these are large or do not fit into memory]",
 )
-@click.option("--sigma-min", type=NumberRange(min=0), help="Treat leaves below this density (1/world unit) as empty.")
+@sigma_min
 @click.option(
     "--up",
     type=click.Choice(["y", "z"]),
