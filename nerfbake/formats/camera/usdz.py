@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from nerfbake.formats.camera.usd import camera_stage, decode, recognise
-from nerfbake.formats.wire.usd.crate import encode_crate
-from nerfbake.formats.wire.usd.package import encode_package
+from nerfbake.formats.wire.usd.package import package_stage
 from nerfbake.scene.camera import Cameras
 
 __all__ = ["decode", "encode", "recognise"]
@@ -15,4 +14,4 @@ __all__ = ["decode", "encode", "recognise"]
 
 def encode(cameras: Cameras, *, up: Literal["z", "y"] = "z") -> Iterator[bytes | memoryview]:
     """Encode cameras. up: the axis of their world that points up. Raises InvalidScene for lens distortion."""
-    return encode_package([("scene.usdc", list(encode_crate(camera_stage(cameras, up=up))))])
+    return package_stage(camera_stage(cameras, up=up))

@@ -78,7 +78,7 @@ def textures_of(scene: Meshes, stem: str, image: Image) -> Sequence[tuple[str, b
     ]
 
 
-def stored_meshes(scene: Meshes, *, up: Literal["y", "z"] = "y", image: Image = "png") -> Meshes:
+def stored(scene: Meshes, *, up: Literal["y", "z"] = "y", image: Image = "png") -> Meshes:
     """Return the meshes that a reader finds in the file, without the library that decode() needs."""
     meshes = []
     for mesh in scene.meshes:

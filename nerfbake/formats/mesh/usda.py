@@ -6,12 +6,11 @@ from collections.abc import Iterable, Iterator
 from typing import Literal
 
 from nerfbake.formats.mesh.usd import decode, recognise
-from nerfbake.formats.mesh.usd_stage import Image, mesh_stage, require_no_texture, stored_meshes, textures_of
+from nerfbake.formats.mesh.usd_stage import Image, mesh_stage, require_no_texture, stored, textures_of
 from nerfbake.formats.wire.usd.text import encode_text
 from nerfbake.scene.mesh import Meshes
 
 __all__ = ["decode", "encode", "encode_files", "recognise", "stored"]
-stored = stored_meshes
 
 
 def encode(scene: Meshes, *, up: Literal["y", "z"] = "y", image: Image = "png") -> Iterator[bytes]:

@@ -6,22 +6,20 @@ from collections.abc import Iterator
 from typing import Literal
 
 from nerfbake.formats.mesh.usd import meshes_of, recognise
-from nerfbake.formats.mesh.usd_stage import Image, mesh_stage, stored_meshes, textures_of
-from nerfbake.formats.wire.usd.crate import encode_crate
-from nerfbake.formats.wire.usd.package import encode_package
+from nerfbake.formats.mesh.usd_stage import Image, mesh_stage, stored, textures_of
+from nerfbake.formats.wire.usd.package import package_stage
 from nerfbake.formats.wire.usd.reading import read_stage
 from nerfbake.scene.mesh import Meshes
 
 __all__ = ["decode", "encode", "recognise", "stored"]
 _STEM = "texture"
-stored = stored_meshes
 
 
 def encode(scene: Meshes, *, up: Literal["y", "z"] = "y", image: Image = "png") -> Iterator[bytes | memoryview]:
     """Encode meshes. up: the axis that points up; image: coding of the textures. Raises InvalidScene."""
     stage = mesh_stage(scene, _STEM, up=up, image=image)
     textures = [(name, [picture]) for name, picture in textures_of(scene, _STEM, image)]
-    return encode_package([("scene.usdc", list(encode_crate(stage))), *textures])
+    return package_stage(stage, textures)
 
 
 def decode(view: memoryview) -> Meshes:

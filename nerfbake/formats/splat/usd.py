@@ -86,7 +86,7 @@ def as_stored(scene: Splats, *, half: bool) -> tuple[Splats, str]:
     return replace(turned, **rounded), up
 
 
-def stored_splats(scene: Splats, *, half: bool = False) -> Splats:
+def stored(scene: Splats, *, half: bool = False) -> Splats:
     """Return the splats that a reader finds in the file, without the library that decode() needs."""
     found, up = as_stored(scene, half=half)
     lengths = np.sqrt((found.quats.astype(np.float64) ** 2).sum(axis=1, keepdims=True))

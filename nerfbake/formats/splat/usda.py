@@ -4,20 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from nerfbake.formats.splat.usd import (
-    KEEPS_ORIGIN,
-    KEEPS_UP,
-    MOST_DEGREE,
-    decode,
-    recognise,
-    splat_stage,
-    stored_splats,
-)
+from nerfbake.formats.splat.usd import KEEPS_ORIGIN, KEEPS_UP, MOST_DEGREE, decode, recognise, splat_stage, stored
 from nerfbake.formats.wire.usd.text import encode_text
 from nerfbake.scene.splats import Splats
 
 __all__ = ["KEEPS_ORIGIN", "KEEPS_UP", "MOST_DEGREE", "decode", "encode", "recognise", "stored"]
-stored = stored_splats
 
 
 def encode(scene: Splats, *, half: bool = False) -> Iterator[bytes]:

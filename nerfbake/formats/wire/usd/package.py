@@ -16,6 +16,8 @@ from collections.abc import Iterator, Sequence
 import deflate
 
 from nerfbake.errors import InvalidScene, Problem
+from nerfbake.formats.wire.usd.crate import encode_crate
+from nerfbake.formats.wire.usd.stage import UsdStage
 
 ENDINGS = (".usda", ".usdc", ".usd", ".png", ".jpg", ".jpeg")  # of files that a package may have
 _ALIGNED = 64
@@ -25,6 +27,11 @@ _UTF8 = 1 << 11  # of names
 _EXTRA = 0x1986
 _MOST = (1 << 32) - 1  # bytes
 _LOCAL, _ENTRY, _LAST = "<4s5H3I2H", "<4s6H3I5H2I", "<4s4H2IH"
+
+
+def package_stage(stage: UsdStage, beside: Sequence[tuple[str, Sequence[bytes]]] = ()) -> Iterator[bytes | memoryview]:
+    """Yield the archive of a stage, as a crate. beside: the files that it refers to. Raises InvalidScene."""
+    return encode_package([("scene.usdc", list(encode_crate(stage))), *beside])
 
 
 def encode_package(files: Sequence[tuple[str, Sequence[bytes | memoryview]]]) -> Iterator[bytes | memoryview]:
