@@ -421,6 +421,12 @@ def require_samples(samples: int) -> int:
     return int(samples)
 
 
+def require_cut(cut: float) -> None:
+    """Raise InvalidScene unless rays can end where their transmittance falls below this value."""
+    if not 0 <= cut < 1:
+        raise InvalidScene(Problem("transmittance_cut", f"is {cut:g}", "0 to 1, excluding 1"))
+
+
 def rays_text(samples: int) -> str:
     """Suffix for messages about pictures with more than one ray per pixel, starting with a comma, else ''."""
     return "" if samples == 1 else f", {samples}x{samples} rays a pixel"

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from nerfbake import progress
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.maths.affine import transform_points
-from nerfbake.scene.camera import Camera, require_samples
+from nerfbake.scene.camera import Camera, require_cut, require_samples
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.octree import Lookup
 from nerfbake.scene.radiance_field import RadianceField, require_field
@@ -77,8 +77,7 @@ def require_options(
 ) -> None:
     """Raise UsageError or InvalidScene for options that render_field() does not have."""
     require_field(field)
-    if not 0 <= transmittance_cut < 1:
-        raise InvalidScene(Problem("transmittance_cut", f"is {transmittance_cut:g}", "0 to 1, excluding 1"))
+    require_cut(transmittance_cut)
     if lookup not in ("nearest", "trilinear"):
         raise InvalidScene(Problem("lookup", f"is {lookup!r}", "nearest, trilinear"))
     require_samples(samples)

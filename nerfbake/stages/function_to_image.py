@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from nerfbake import memory, progress
-from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats, Indices, Points, Singles
 from nerfbake.kernels.maths.affine import rotate, transform_points
 from nerfbake.kernels.picture.metrics import psnr
-from nerfbake.scene.camera import Camera, Cameras
+from nerfbake.scene.camera import Camera, Cameras, require_cut
 from nerfbake.scene.function_field import FunctionField
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.radiance_field import RadianceField
@@ -66,7 +65,8 @@ def render_function(
     >>> image.colour[4, 4].round(3).tolist(), image.colour[0, 0].tolist()
     ([0.5, 0.5, 0.5], [1.0, 1.0, 1.0])
     """
-    _require(field, transmittance_cut)
+    field.require_usable()
+    require_cut(transmittance_cut)
     return supersampled(lambda part: _rendered(field, part, background, transmittance_cut, None)[0], camera, samples)
 
 
@@ -99,7 +99,7 @@ def measure_function(field: FunctionField, made: RadianceField, cameras: Cameras
     >>> loss.psnr > 25, loss.outside
     (True, 0.0)
     """
-    _require(field, 0)
+    field.require_usable()
     found, shares = [], []
     for camera in progress.each(cameras.cameras):
         truth, outside = _rendered(field, camera, WHITE, 1e-4, box)
@@ -116,12 +116,6 @@ def look_beyond(field: FunctionField, eye: Floats, looks: Points, distance: Floa
         some = slice(begin, begin + _RAYS)
         out[some] = _along(field, eye, looks[some], 1e-4, None, distance[some] * field.scale)[0]
     return out[:, :3], out[:, 3]
-
-
-def _require(field: FunctionField, cut: float) -> None:
-    field.require_usable()
-    if not 0 <= cut < 1:
-        raise InvalidScene(Problem("transmittance_cut", f"is {cut:g}", "0 to 1, excluding 1"))
 
 
 def _rendered(

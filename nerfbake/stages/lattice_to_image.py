@@ -12,7 +12,7 @@ from nerfbake.kernels.lattice.rays import Samples, composite_colours, composite_
 from nerfbake.kernels.maths.elementary import fibonacci, sigmoid
 from nerfbake.kernels.maths.linear import product
 from nerfbake.kernels.octree.pyramid import opacity
-from nerfbake.scene.camera import Camera
+from nerfbake.scene.camera import Camera, require_cut
 from nerfbake.scene.image import WHITE, Image
 from nerfbake.scene.lattice_field import DeferredColour, LatticeField
 from nerfbake.scene.octree import SparseVoxelOctree
@@ -52,8 +52,7 @@ def render_lattice(
     True
     """
     lattice.require_usable()
-    if not 0 <= transmittance_cut < 1:
-        raise InvalidScene(Problem("transmittance_cut", f"is {transmittance_cut:g}", "0 to 1, excluding 1"))
+    require_cut(transmittance_cut)
     nodes, looked = nodes_of(lattice), features_of(lattice)
     return supersampled(
         lambda part: _rendered(lattice, nodes, looked, part, background, transmittance_cut), camera, samples
