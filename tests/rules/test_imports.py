@@ -74,6 +74,7 @@ OWN_LIBRARY = {
     "formats/wire/json": {"orjson"},
     "formats/wire/npz": {"zlib_ng"},
     "formats/wire/heif": {"pillow_heif", "pi_heif"},
+    "formats/wire/colour_profile": {"PIL"},
     "formats/wire/picture": {"PIL"},
     "formats/wire/png": {"deflate"},
     "formats/wire/usd/_child": {"pxr"},  # in a process of its own

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from PIL import Image as Pillow
 
-from nerfbake.formats.wire.picture import opened, pixels_of, png_of
+from nerfbake.formats.wire.picture import opened, photograph_of, png_of
 from nerfbake.scene.image import Image
 
 
@@ -24,7 +24,7 @@ def decode(view: memoryview) -> Image:
     """Read a picture; if it has alpha, the colours are premultiplied."""
     with opened(view, "PNG", "PNG", bytes_per_pixel=24) as picture:
         transparent = picture.mode in ("RGBA", "LA") or "transparency" in picture.info
-        pixels = pixels_of(picture, "RGBA")
+        pixels = photograph_of(picture)
     colour, alpha = np.empty((*pixels.shape[:2], 3), np.float32), np.empty(pixels.shape[:2], np.float32)
     # Dividing in place saves eleven bytes a pixel, of up to 268 million pixels, and half the time.
     np.divide(pixels[..., 3], np.float32(255), out=alpha)

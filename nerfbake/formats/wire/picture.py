@@ -1,7 +1,7 @@
 """Decode and encode pictures with Pillow: textures, photographs and thumbnails.
 
 Sizes are checked in the header before anything is inflated, and Pillow's errors become InvalidFile. Textures are PNG or
-JPEG with 8-bit RGB. Photographs are PNG, JPEG or HEIC with 8-bit sRGB and straight alpha.
+JPEG with 8-bit RGB. Photographs are PNG, JPEG or HEIC with 8 bits and straight alpha, whose colours become sRGB.
 
 Data in pictures are lossless WebP.
 
@@ -32,6 +32,7 @@ from PIL import Image, UnidentifiedImageError
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.formats.wire import gravity, heif, xmp
+from nerfbake.formats.wire.colour_profile import into_srgb
 from nerfbake.formats.wire.png import require_checksums
 from nerfbake.kernels.soundness import MAX_EDGE
 
@@ -58,6 +59,8 @@ _OTHERS = {  # first bytes of files that are not read: what such a file is
     b"II*\0": "a TIFF or a raw photograph",
     b"MM\0*": "a TIFF or a raw photograph",
     b"v/1\x01": "an OpenEXR",
+    b"\xff\x0a": "a JPEG XL",
+    b"\0\0\0\x0cJXL ": "a JPEG XL",
 }
 _BRANDS = {b"avif": "an AVIF", b"avis": "an AVIF", b"crx ": "a raw photograph"}  # others are those of videos
 
@@ -106,14 +109,21 @@ def _decoded_size(picture: Image.Image) -> int:
 
 
 # A WebP: two canvases of libwebp, the picture as bytes, and Pillow's. A JPEG: Pillow's picture and, if it is
-# progressive, all coefficients. A HEIC: libheif's planes and two copies.
-_DECODED = {"WEBP": 16, "JPEG": 12, "HEIF": 12}
+# progressive, all coefficients. An MPO is a JPEG with further pictures, such as a preview. A HEIC: libheif's planes and
+# two copies.
+_DECODED = {"WEBP": 16, "JPEG": 12, "MPO": 12, "HEIF": 12}
 _BAND = 1 << 18  # pixels that are converted at once
 
 
-def pixels_of(picture: Image.Image, mode: str) -> npt.NDArray[np.uint8]:
+def photograph_of(picture: Image.Image) -> npt.NDArray[np.uint8]:
+    """Return the pixels in sRGB and alpha, (H, W, 4): see pixels_of()."""
+    return pixels_of(picture, "RGBA", profile=picture.info.get("icc_profile"))
+
+
+def pixels_of(picture: Image.Image, mode: str, *, profile: object = None) -> npt.NDArray[np.uint8]:
     """Return the pixels in this mode (RGB or RGBA), (H, W, channels), of 16 bits the upper 8.
 
+    profile: an ICC profile, for RGBA; the colours become sRGB. glTF ignores the profiles of its textures.
     They are converted in bands, because Pillow copies all pixels twice for NumPy and once for each mode.
     """
     width, height = picture.size
@@ -121,7 +131,9 @@ def pixels_of(picture: Image.Image, mode: str) -> npt.NDArray[np.uint8]:
     rows = max(1, _BAND // width)
     for top in range(0, height, rows):
         band = picture.crop((0, top, width, min(height, top + rows)))
-        out[top : top + rows] = np.asarray(eight_bits(band).convert(mode))
+        band = eight_bits(band).convert(mode)
+        into_srgb(band, profile)
+        out[top : top + rows] = np.asarray(band)
     return out
 
 
@@ -281,9 +293,9 @@ def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> 
         _require_mode(picture)
         turn = None if size is None else _turn(picture, size)
         if turn is None:
-            return pixels_of(picture, "RGBA")
+            return photograph_of(picture)
         memory.require("the picture", (_decoded_size(picture) + 8) * picture.width * picture.height)
-        return pixels_of(picture.transpose(turn), "RGBA")
+        return photograph_of(picture.transpose(turn))
 
 
 def check_photograph(view: memoryview) -> tuple[int, int]:
@@ -387,7 +399,7 @@ def up_of(view: memoryview) -> tuple[float, float, float] | None:
             up = gravity.up_of_angles(xmp.properties_of(packet)) if isinstance(packet, bytes) else None
             tags = picture.getexif().get_ifd(_EXIF) if up is None and picture.format != "PNG" else {}
             # A JPEG that was turned upright has the axes of the sensor no more; a selfie's are mirrored.
-            odd = picture.format == "JPEG" and picture.width < picture.height
+            odd = picture.format != "HEIF" and picture.width < picture.height
             if up is None and _MAKER_NOTE in tags and not odd and "front" not in str(tags.get(_LENS_MODEL)):
                 found = gravity.up_of_apple(tags[_MAKER_NOTE])
                 up = found and gravity.turned(found, picture.info.get("original_orientation") or 1)
@@ -407,8 +419,7 @@ def encode_preview(view: memoryview, edge: int, size: tuple[int, int] | None = N
     with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=12) as picture:
         turn = None if size is None else _turn(picture, size)
         picture.draft("RGB", (2 * edge, 2 * edge))  # a JPEG is decoded at a lower resolution, at least this large
-        small = eight_bits(picture).convert("RGBA")
-        small.thumbnail((edge, edge), Image.Resampling.BOX)
+        small = _small(picture, edge)
         if turn is not None:
             small = small.transpose(turn)
         paper = Image.new("RGB", small.size, (255, 255, 255))
@@ -416,6 +427,14 @@ def encode_preview(view: memoryview, edge: int, size: tuple[int, int] | None = N
         file = io.BytesIO()
         paper.save(file, "JPEG", quality=_PREVIEW_QUALITY)
         return file.getvalue()
+
+
+def _small(picture: Image.Image, edge: int) -> Image.Image:
+    """The picture with at most `edge` pixels an edge, in sRGB and alpha."""
+    small = eight_bits(picture).convert("RGBA")
+    small.thumbnail((edge, edge), Image.Resampling.BOX)
+    into_srgb(small, picture.info.get("icc_profile"))
+    return small
 
 
 def _turn(picture: Image.Image, size: tuple[int, int]) -> Image.Transpose | None:
@@ -437,6 +456,5 @@ def encode_thumbnail(view: memoryview, edge: int, colours: int | None = None) ->
     A smaller picture keeps its size. colours: size of the palette; None: no palette. Raises InvalidFile, MemoryLimit.
     """
     with opened(view, "the picture", *_PHOTOGRAPHS, "GIF", bytes_per_pixel=12) as picture:
-        small = eight_bits(picture).convert("RGBA")
-        small.thumbnail((edge, edge), Image.Resampling.BOX)
+        small = _small(picture, edge)
         return png_of(small if colours is None else small.quantize(colours, Image.Quantize.FASTOCTREE))

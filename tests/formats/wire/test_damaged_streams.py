@@ -25,6 +25,7 @@ from nerfbake.errors import NerfbakeError
 from nerfbake.formats.octree.bson import elements_of
 from nerfbake.formats.wire import picture
 from nerfbake.formats.wire.blosc import unblosc
+from nerfbake.formats.wire.colour_profile import into_srgb
 from nerfbake.formats.wire.deflate import gunzip, inflate
 from nerfbake.formats.wire.json import parse
 from nerfbake.formats.wire.yaml import parse_map
@@ -33,6 +34,7 @@ from nerfbake.formats.wire.zstd import decompress, decompress_exactly
 from tests.rules.test_imports import OWN_LIBRARY
 from tests.support.heic import heic_of
 from tests.support.pngs import chunks_of, png_of_chunks
+from tests.support.profiles import DISPLAY_P3, SRGB_CURVE, profile_of
 
 DATA = bytes(range(256)) * 8
 PIXELS = np.random.default_rng(0).integers(0, 256, (12, 16, 3), np.uint8)
@@ -97,6 +99,11 @@ def decoders() -> dict[str, Decoder]:
         "json": Decoder("formats/wire/json", lambda view: parse(view, "x", comments=True), (b'{"a": [1, "x"]} // c',)),
         "yaml": Decoder("formats/wire/yaml", lambda view: parse_map(view, "x"), (settings,)),
         "bson": Decoder("formats/octree/bson", lambda view: elements_of(view, "x"), (document,)),
+        "profile": Decoder(
+            "formats/wire/colour_profile",
+            lambda view: into_srgb(Image.new("RGBA", (4, 4)), bytes(view)),
+            (profile_of(DISPLAY_P3, SRGB_CURVE),),
+        ),
         "heic": Decoder("formats/wire/heif", photographs, (heic_of(Image.fromarray(PIXELS)),)),
         "pictures": Decoder(
             "formats/wire/picture",

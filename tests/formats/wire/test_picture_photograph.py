@@ -81,6 +81,12 @@ def test_what_is_no_photograph_of_8_bits_is_refused(picture: Pillow.Image, kind:
         decode_photograph(file(picture, kind))
 
 
+@pytest.mark.parametrize("head", [b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n"])
+def test_a_jpeg_xl_is_named(head: bytes) -> None:
+    with pytest.raises(InvalidFile, match=r"the picture cannot be read \(it is a JPEG XL\)"):
+        decode_photograph(memoryview(head + bytes(64)))
+
+
 @pytest.mark.parametrize(("brand", "kind"), [(b"qt  ", "a video"), (b"crx ", "a raw photograph"), (b"avis", "an AVIF")])
 def test_other_files_of_boxes_are_no_heic(brand: bytes, kind: str) -> None:
     data = memoryview(b"\0\0\0\x14ftyp" + brand + bytes(64))
@@ -94,6 +100,14 @@ def test_other_files_of_boxes_are_no_heic(brand: bytes, kind: str) -> None:
 def test_a_large_picture_in_a_small_file_is_told_before_it_is_inflated() -> None:
     with memory_limit(4 << 20), pytest.raises(MemoryLimit, match=r"the picture needs 4\.8 MiB"):
         decode_photograph(file(Pillow.new("1", (1000, 1000))))
+
+
+def test_a_jpeg_with_a_preview_behind_it_takes_as_much_memory_as_one_without() -> None:
+    picture = Pillow.fromarray(SMOOTH).resize((256, 256))
+    view = file(picture, "MPO", save_all=True, append_images=[picture], progressive=True)
+    with memory_limit(900_000), pytest.raises(MemoryLimit, match=r"the picture needs 1\.0 MiB"):  # 16 bytes a pixel
+        decode_photograph(view)
+    assert_array_equal(decode_photograph(view), decode_photograph(file(picture, "JPEG", progressive=True)))
 
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG"])
