@@ -23,8 +23,9 @@ from nerfbake.errors import Problem, UsageError, one_line
 Piece = bytes | memoryview
 HEAD = 512  # bytes that are enough to recognise most formats
 HEAD_CAMERAS = 1 << 16  # the same for the cameras of other tools, whose text may start with long comments
-# The extensions of each kind of picture.
-_ENDINGS = ((".png", ".PNG"), (".jpg", ".JPG", ".jpeg", ".JPEG"), (".heic", ".HEIC", ".heif", ".HEIF"))
+# The extensions of each kind of picture; cameras of Canon, Nikon, Sony and Fujifilm write .HIF.
+_HEIC = (".heic", ".HEIC", ".heif", ".HEIF", ".hif", ".HIF")
+_ENDINGS = ((".png", ".PNG"), (".jpg", ".JPG", ".jpeg", ".JPEG"), _HEIC)
 PICTURES = tuple(ending for kind in _ENDINGS for ending in kind)  # extensions that a capture may omit
 _SHOWN = 60  # characters of an invalid value in a message
 

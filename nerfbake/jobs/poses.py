@@ -37,7 +37,8 @@ _CONTENTS = io.FolderContents(
 )
 _PICTURES = "images"
 # Photographs and videos that are not read, so that an error can name one.
-_OTHERS = (".webp", ".avif", ".tif", ".tiff", ".bmp", ".gif", ".dng", ".mov", ".mp4")
+_RAW = (".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2")
+_OTHERS = (".webp", ".avif", ".jxl", ".tif", ".tiff", ".bmp", ".gif", ".dng", *_RAW, ".mov", ".mp4")
 _COMMAND = [sys.executable, "-P", "-m", "nerfbake.jobs._pycolmap"]  # -P ignores the working directory
 _LEAST_ROOM = 1 << 22  # bytes on the disk: with less, pycolmap fails for lack of room
 _ENDS = {"models", "missing", "unread", "failed", "moved"}  # what the last line of the process says

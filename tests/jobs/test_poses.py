@@ -427,7 +427,7 @@ def test_a_folder_without_enough_pictures_is_refused(tmp_path: Path) -> None:
     (tmp_path / ".hidden.png").write_text("none")
     allowed = "allowed: 3 or more .jpg, .jpeg, .png or .heic in the folder or in its subfolder images"
     assert refused(tmp_path) == f"1 {tmp_path}: the pictures are missing; {allowed}"
-    for name in ("a.JPG", "b.HEIC"):
+    for name in ("a.JPG", "b.HIF"):
         (tmp_path / name).write_bytes(b"")
     assert refused(tmp_path) == f"1 {tmp_path}: the pictures are 2; {allowed}"
     assert refused(tmp_path / "gone") == f"1 {tmp_path}/gone: does not exist; allowed: a folder of photographs"
@@ -444,6 +444,10 @@ def test_pictures_and_videos_that_are_not_read_are_named(tmp_path: Path) -> None
     assert refused(tmp_path).startswith(f"1 {tmp_path}: {said}")
     with pytest.raises(InvalidFile, match=said):
         require_poses(SILENT, Source(str(tmp_path)))
+    for name in ("a.jxl", "a.ARW"):
+        (tmp_path / "images" / "b.WEBP").rename(tmp_path / "images" / name)
+        assert f"except for files such as {name}; allowed" in refused(tmp_path)
+        (tmp_path / "images" / name).rename(tmp_path / "images" / "b.WEBP")
     (tmp_path / "images" / "b.WEBP").unlink()
     assert "except for files such as clip.mov; allowed" in refused(tmp_path)
     (tmp_path / "clip.mov").unlink()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +23,19 @@ def apple_note(acceleration: Floats) -> bytes:
     return head + struct.pack(">HHII", 8, 10, 3, len(head) + 12) + struct.pack(">6i", *fractions)
 
 
-def write_apple(path: Path, acceleration: Floats, *, size: tuple[int, int] = (8, 6), lens: str = "back camera") -> Path:
+def write_apple(
+    path: Path,
+    acceleration: Floats,
+    *,
+    size: tuple[int, int] = (8, 6),
+    lens: str = "back camera",
+    more: Sequence[Pillow.Image] = (),
+) -> Path:
+    """The photograph of an iPhone. more: pictures behind it, such as the gain map of its highlights."""
     exif = Pillow.Exif()
     exif.get_ifd(EXIF).update({MAKER_NOTE: apple_note(acceleration), LENS: lens})
-    Pillow.new("RGB", size).save(path, "JPEG", exif=exif)
+    options = {"save_all": True, "append_images": more} if more else {}
+    Pillow.new("RGB", size).save(path, "MPO" if more else "JPEG", exif=exif.tobytes(), **options)
     return path
 
 

@@ -51,6 +51,12 @@ def test_a_heic_is_upright_when_it_is_decoded(tmp_path: Path) -> None:
     assert load_up(tmp_path / "a.heic") == pytest.approx((0, 1, 0))
 
 
+def test_a_gain_map_behind_a_photograph_changes_nothing(tmp_path: Path) -> None:
+    level, more = np.array([-1.0, 0, 0]), [Pillow.new("L", (4, 3))]
+    assert load_up(write_apple(tmp_path / "a.jpg", level, more=more)) == pytest.approx((0, 1, 0))
+    assert load_up(write_apple(tmp_path / "b.jpg", level, size=(6, 8), more=more)) is None  # it was turned
+
+
 def test_what_says_nothing_is_none(tmp_path: Path) -> None:
     level, path = np.array([-1.0, 0, 0]), tmp_path / "a.jpg"
     assert load_up(write_apple(path, 1.5 * level)) is None  # it moved
