@@ -234,6 +234,26 @@ class WrappingFormat(Protocol):
         """
 
 
+class PhotographMetadata(Protocol):
+    """What a photograph says of itself; None and False for what it does not say."""
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height as it is decoded."""
+
+    @property
+    def place(self) -> tuple[float, float, float] | None:
+        """Latitude and longitude in degrees and altitude in metres where it was taken."""
+
+    @property
+    def up(self) -> tuple[float, float, float] | None:
+        """The direction that points up, in the camera's axes, by its sensors."""
+
+    @property
+    def all_round(self) -> bool:
+        """Whether it shows all directions."""
+
+
 class PhotographFormat(Protocol):
     """The pictures that a field is fitted to."""
 
@@ -243,26 +263,20 @@ class PhotographFormat(Protocol):
         size: (W, H) of the camera.
         """
 
-    def check_photograph(self, view: memoryview, /) -> tuple[int, int]:
-        """Return width and height of a photograph that can be decoded. Raises InvalidFile, MemoryLimit."""
+    def check_photograph(self, view: memoryview, /) -> PhotographMetadata:
+        """Return what a photograph says that can be decoded. Raises InvalidFile, MemoryLimit."""
+
+    def read_metadata(self, view: memoryview, /) -> PhotographMetadata:
+        """Return what a photograph says of itself; nothing if it cannot be opened.
+
+        view: the first bytes of the file, of a HEIC all.
+        """
 
     def is_heic(self, head: memoryview, /) -> bool:
         """Return whether the first bytes of a file are those of a HEIC."""
 
     def jpeg_of_heic(self, view: memoryview, /) -> bytes:
         """Return a HEIC as JPEG of the same size, with its EXIF data. Raises InvalidFile, MemoryLimit."""
-
-    def place_of(self, view: memoryview, /) -> tuple[float, float, float] | None:
-        """Return latitude, longitude (degrees) and altitude (metres) of a photograph; None if it does not hold them.
-
-        view: the first bytes of the file, of a HEIC all.
-        """
-
-    def up_of(self, view: memoryview, /) -> tuple[float, float, float] | None:
-        """Return the direction that points up, in the camera's axes; None if it is not stored. view: see place_of()."""
-
-    def is_panorama(self, view: memoryview, /) -> bool:
-        """Return whether a photograph says that it shows all directions. view: as for place_of()."""
 
     def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:
         """Return the picture as a PNG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit."""

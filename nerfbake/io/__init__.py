@@ -13,6 +13,7 @@ from nerfbake.io.checkpoints import require_checkpoints as require_checkpoints
 from nerfbake.io.checkpoints import save_checkpoint as save_checkpoint
 from nerfbake.io.own_folders import FolderContents as FolderContents
 from nerfbake.io.reading import Loaded as Loaded
+from nerfbake.io.reading import PhotographMetadata as PhotographMetadata
 from nerfbake.io.reading import Truth as Truth
 from nerfbake.io.reading import check as check
 from nerfbake.io.reading import decode_files as decode_files
@@ -22,13 +23,12 @@ from nerfbake.io.reading import load as load
 from nerfbake.io.reading import load_files as load_files
 from nerfbake.io.reading import load_folder as load_folder
 from nerfbake.io.reading import load_lines as load_lines
+from nerfbake.io.reading import load_metadata as load_metadata
 from nerfbake.io.reading import load_page_content as load_page_content
 from nerfbake.io.reading import load_photograph as load_photograph
-from nerfbake.io.reading import load_place as load_place
 from nerfbake.io.reading import load_preview as load_preview
 from nerfbake.io.reading import load_split as load_split
 from nerfbake.io.reading import load_thumbnail as load_thumbnail
-from nerfbake.io.reading import load_up as load_up
 from nerfbake.io.reading import load_with_format as load_with_format
 from nerfbake.io.reading import picture_in as picture_in
 from nerfbake.io.reading import unread_cameras as unread_cameras

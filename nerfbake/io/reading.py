@@ -32,7 +32,7 @@ from nerfbake.catalog import (
     uncompressed,
     unread_file,
 )
-from nerfbake.contract import HEAD, HEAD_CAMERAS, PICTURES, StorableScene, picture_names
+from nerfbake.contract import HEAD, HEAD_CAMERAS, PICTURES, PhotographMetadata, StorableScene, picture_names
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, without
 from nerfbake.io.sources import (
     STREAM,
@@ -415,8 +415,8 @@ def load_photograph(path: str | Path, size: tuple[int, int] | None = None) -> An
         return memory.kept(pixels)
 
 
-def check_photograph(path: str | Path) -> tuple[int, int]:
-    """Return width and height of a photograph that load_photograph() can read. Raises InvalidFile, MemoryLimit."""
+def check_photograph(path: str | Path) -> PhotographMetadata:
+    """Return what a photograph says that load_photograph() can read. Raises InvalidFile, MemoryLimit."""
     with blame(str(path)), memory.scope():
         return load_photographs().check_photograph(_read_photograph(path))
 
@@ -443,35 +443,13 @@ def is_heic(path: str | Path) -> bool:
         return load_photographs().is_heic(memoryview(file.read(HEAD)))
 
 
-def load_place(path: str | Path) -> tuple[float, float, float] | None:
-    """Return latitude, longitude (degrees) and altitude (metres) of a photograph; None if it does not hold them.
-
-    Raises InvalidFile, MemoryLimit.
-    """
+def load_metadata(path: str | Path) -> PhotographMetadata:
+    """Return what a photograph says of itself, in its first bytes; a HEIC anywhere. Raises InvalidFile, MemoryLimit."""
     with blame(str(path)), memory.scope():
-        return load_photographs().place_of(_read_metadata(path))
-
-
-def load_up(path: str | Path) -> tuple[float, float, float] | None:
-    """Return the direction that points up in a photograph, in its camera's axes; None if it does not hold it.
-
-    Raises InvalidFile, MemoryLimit.
-    """
-    with blame(str(path)), memory.scope():
-        return load_photographs().up_of(_read_metadata(path))
-
-
-def is_panorama(path: str | Path) -> bool:
-    """Return whether a photograph says that it shows all directions. Raises InvalidFile, MemoryLimit."""
-    with blame(str(path)), memory.scope():
-        return load_photographs().is_panorama(_read_metadata(path))
-
-
-def _read_metadata(path: str | Path) -> memoryview:
-    """Return the first bytes of a photograph, which hold what its camera says of it; of a HEIC all."""
-    with Path(path).open("rb") as file:
-        head = memoryview(file.read(_HEAD_METADATA))
-    return read_file(Path(path)) if load_photographs().is_heic(head) else head
+        with Path(path).open("rb") as file:
+            view = memoryview(file.read(_HEAD_METADATA))
+        pictures = load_photographs()
+        return pictures.read_metadata(read_file(Path(path)) if pictures.is_heic(view) else view)
 
 
 def load_thumbnail(path: str | Path, edge: int) -> bytes:

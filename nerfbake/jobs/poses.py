@@ -20,7 +20,7 @@ from nerfbake import io, progress
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, UsageError
 from nerfbake.installation import command_for, require_installed
 from nerfbake.io.own_files import require_no_link
-from nerfbake.io.reading import check_photograph, copy_photograph, is_heic, is_panorama, is_picture
+from nerfbake.io.reading import check_photograph, copy_photograph, is_heic, is_picture
 from nerfbake.io.targets import replacing_folder
 from nerfbake.jobs.files import AnySource, Source, as_source
 from nerfbake.jobs.steps import SILENT, Steps
@@ -94,7 +94,7 @@ def find_poses(
     place, names = _pictures_of(folder, source.name)
     require_installed("pycolmap", "finding poses")
     _require_outputs(folder, force)
-    groups, round_ones = _same_sizes(steps, place, names, panoramas)
+    groups, round_ones, known = _same_sizes(steps, place, names, panoramas)
     if sequential is None:
         sequential = len(names) > MOST_EXHAUSTIVE
     with _model_folder(folder, force) as part:
@@ -110,7 +110,7 @@ def find_poses(
         if pictures != place:
             shutil.rmtree(pictures)
         _require_model(steps, source.name, found["models"], len(names))
-        io.save(folder / CAMERAS, _placed(steps, source.name, folder, place, part, world), force=force)
+        io.save(folder / CAMERAS, _placed(steps, source.name, folder, place, part, world, known), force=force)
     result = PosesResult(source.path, len(names), found["models"][0], found["points"], found["error"])
     steps.say(
         f"{source.name}: {result.registered} of {result.pictures} pictures have a pose; {result.points:,} points, "
@@ -192,16 +192,20 @@ def _require_outputs(folder: Path, force: bool) -> None:
 
 def _same_sizes(
     steps: Steps, place: Path, names: list[str], panoramas: bool
-) -> tuple[list[list[str]], list[list[str]]]:
+) -> tuple[list[list[str]], list[list[str]], dict[Path, io.PhotographMetadata]]:
     """Group the names of the pictures by size: ordinary ones, and panoramas of all directions.
 
-    Raises InvalidFile for a picture that `fit` could not read.
+    Also returns what each says of itself, so that no picture is opened for it again. Raises InvalidFile for a picture
+    that `fit` could not read.
     """
     groups: dict[tuple[int, int, bool], list[str]] = {}
+    known: dict[Path, io.PhotographMetadata] = {}
     with steps.phase(f"reading {len(names)} pictures"):
         for name in progress.each(names):
-            width, height = check_photograph(place / name)
-            is_round = width == 2 * height and (panoramas or is_panorama(place / name))
+            said = known[place / name] = check_photograph(place / name)
+            assert said.size is not None
+            width, height = said.size
+            is_round = said.all_round or (panoramas and width == 2 * height)
             groups.setdefault((width, height, is_round), []).append(name)
     flat, all_round = ([group for key, group in groups.items() if key[2] == wanted] for wanted in (False, True))
     if all_round:
@@ -212,7 +216,7 @@ def _same_sizes(
             f"{place}: warning: {wide} of {len(names)} pictures are twice as wide as high, but do not say that they "
             "show all directions; they are used as ordinary photographs, except by `panoramas` of `nerfbake poses`"
         )
-    return flat, all_round
+    return flat, all_round, known
 
 
 def _readable(steps: Steps, place: Path, names: list[str], copies: Path) -> Path:
@@ -241,11 +245,20 @@ def _model_folder(folder: Path, force: bool) -> Iterator[Path]:
             target.parent.rmdir()
 
 
-def _placed(steps: Steps, name: str, folder: Path, place: Path, part: Path, options: WorldOptions) -> Cameras:
+def _placed(
+    steps: Steps,
+    name: str,
+    folder: Path,
+    place: Path,
+    part: Path,
+    options: WorldOptions,
+    known: Mapping[Path, io.PhotographMetadata],
+) -> Cameras:
     """Return the cameras of a new model, after it was moved to the world that is asked for."""
     prefix = "" if place == folder else f"{_PICTURES}/"
     cameras = _cameras(part, prefix)
-    moved = find_world(steps, name, cameras, options, [folder / each for each in cameras.names], automatic=True)
+    photographs = [folder / each for each in cameras.names]
+    moved = find_world(steps, name, cameras, options, photographs, automatic=True, read=known.__getitem__)
     if moved is None:
         return cameras
     event, ended = _run_once(steps, {"model": str(part), **moved.frame.listed()})

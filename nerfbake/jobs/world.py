@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -84,16 +85,23 @@ def find_world(
     photographs: Sequence[Path | None],
     *,
     automatic: bool = False,
+    read: Callable[[Path], io.PhotographMetadata] = io.load_metadata,
 ) -> MovedWorld | None:
     """Return where the cameras of a capture are moved, and print what this was found by; None if they stay.
 
     name         of the capture, in messages
     photographs  one for each camera, if there is one
     automatic    use GPS positions without being asked if they fit well, and gravity
+    read         returns what a photograph says of itself; it is called once for each
 
     Raises UsageError, InvalidScene.
     """
     from nerfbake.stages import frames as stage
+
+    read_once = cache(read)
+
+    def metadata() -> list[io.PhotographMetadata | None]:
+        return [None if path is None else read_once(path) for path in photographs]
 
     with io.blame(name):
         frame, world, told = Frame(), cameras.world, []
@@ -103,13 +111,13 @@ def find_world(
             world = World(metres=True, upright=world.upright)
             told.append(f"by {pair.metres:g} m between {cameras.names[first]} and {cameras.names[second]}")
         elif options.scale == GPS or (automatic and options.scale is None):
-            found = _by_positions(steps, name, cameras, photographs, asked=options.scale == GPS)
+            found = _by_positions(steps, name, cameras, metadata(), asked=options.scale == GPS)
             if found is not None:
                 frame, world = found.frame, found.world
                 told.append(found.told)
         # Positions that are not on a line tell what is up as well, and better than a phone that moves.
         asked = options.ground or options.scale == GPS or (automatic and options.scale != NONE)
-        if asked and not world.upright and (gravity := _by_gravity(steps, name, cameras, photographs)) is not None:
+        if asked and not world.upright and (gravity := _by_gravity(steps, name, cameras, metadata())) is not None:
             frame, world = frame.then(gravity.frame), world._replace(upright=True)
             told.append(f"z is up by gravity in {plural(gravity.used, 'photograph')}, {gravity.off:.1f} degrees off")
         if options.ground:
@@ -138,12 +146,12 @@ class _Found(NamedTuple):
 
 
 def _by_positions(
-    steps: Steps, name: str, cameras: Cameras, photographs: Sequence[Path | None], *, asked: bool
+    steps: Steps, name: str, cameras: Cameras, metadata: Sequence[io.PhotographMetadata | None], *, asked: bool
 ) -> _Found | None:
     """Return the world of the positions in the photographs. asked=False: None if they are few or rough."""
     from nerfbake.stages.frames import LEAST, frame_to_positions, local_positions
 
-    places = [None if path is None else io.load_place(path) for path in photographs]
+    places = [each and each.place for each in metadata]
     kept = [i for i, place in enumerate(places) if place is not None]
     if len(kept) < (LEAST if asked else _SURE):
         if asked:
@@ -169,11 +177,13 @@ def _by_positions(
     return _Found(fitted.frame, World(True, True, middle), told)
 
 
-def _by_gravity(steps: Steps, name: str, cameras: Cameras, photographs: Sequence[Path | None]) -> Gravity | None:
+def _by_gravity(
+    steps: Steps, name: str, cameras: Cameras, metadata: Sequence[io.PhotographMetadata | None]
+) -> Gravity | None:
     """Return the world that is upright by the cameras' sensors; None if few photographs have gravity, or disagree."""
     from nerfbake.stages.frames import LEAST, frame_of_gravity
 
-    ups = [None if path is None else io.load_up(path) for path in photographs]
+    ups = [each and each.up for each in metadata]
     kept = [i for i, up in enumerate(ups) if up is not None]
     if len(kept) < LEAST:
         return None

@@ -110,7 +110,9 @@ def test_the_model_moves_with_the_cameras(found: Found, tmp_path: Path) -> None:
     model = tmp_path / "room" / poses.MODEL
     before = load(found.places[0], Cameras)
     world = WorldOptions(scale="0000,0004=12m")
-    moved = poses._placed(SILENT, "room", tmp_path / "room", tmp_path / "room", model, world)
+    pictures = [camera.picture for camera in before.cameras]
+    *_, known = poses._same_sizes(SILENT, tmp_path / "room", pictures, False)
+    moved = poses._placed(SILENT, "room", tmp_path / "room", tmp_path / "room", model, world, known)
     assert sorted(path.name for path in model.iterdir()) == MODEL_FILES
     eyes = positions_of(moved)
     assert np.linalg.norm(eyes[0] - eyes[4]) == pytest.approx(12)

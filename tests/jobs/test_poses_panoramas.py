@@ -22,7 +22,8 @@ from tests.support.panoramas import ALL_ROUND, GPANO, sighting_errors, tagged, w
 def groups_of(folder: Path, panoramas: bool = False) -> tuple[list[list[str]], list[list[str]], list[str]]:
     listener = Listener()
     names = sorted(path.name for path in folder.iterdir())
-    return *poses._same_sizes(listener, folder, names, panoramas), listener.said
+    flat, all_round, _ = poses._same_sizes(listener, folder, names, panoramas)
+    return flat, all_round, listener.said
 
 
 def rotation_errors(found: Cameras, known: Cameras) -> Floats:

@@ -10,7 +10,7 @@ from PIL import Image as Pillow
 
 from nerfbake import Cameras, load, save
 from nerfbake.errors import InvalidScene, UsageError
-from nerfbake.io import load_place
+from nerfbake.io import PhotographMetadata, load_metadata
 from nerfbake.jobs import FitOptions, WorldOptions, convert_cameras, fit_scene
 from nerfbake.jobs.world import find_world
 from nerfbake.scene.world import EarthPlace, World
@@ -58,18 +58,33 @@ def placed(folder: Path, cameras: Cameras, *, metres: float = 10.0) -> list[Path
 
 @pytest.mark.parametrize("place", [PLACE, EarthPlace(-33.9, 18.4, -3.5)])
 def test_the_place_of_a_photograph_is_read(place: EarthPlace, tmp_path: Path) -> None:
-    assert load_place(write_place(tmp_path / "a", place)) == pytest.approx(place, abs=1e-6)
+    assert load_metadata(write_place(tmp_path / "a", place)).place == pytest.approx(place, abs=1e-6)
 
 
 def test_damaged_places_are_none(tmp_path: Path) -> None:
-    assert load_place(write_place(tmp_path / "a", None)) is None
+    assert load_metadata(write_place(tmp_path / "a", None)).place is None
     for tags in ({"t2": (1.0, 2.0)}, {"t2": (500.0, 0.0, 0.0)}, {"t6": 1e6}, {"t4": (0.0,) * 4}):
-        assert load_place(write_place(tmp_path / "b", PLACE, **tags)) is None
+        assert load_metadata(write_place(tmp_path / "b", PLACE, **tags)).place is None
     cut = tmp_path / "c.jpg"
     data = write_place(tmp_path / "a", PLACE).read_bytes()
     for length in range(0, len(data), 29):
         cut.write_bytes(data[:length])
-        load_place(cut)
+        load_metadata(cut)
+
+
+def test_each_photograph_is_read_once(cameras: Cameras, tmp_path: Path) -> None:
+    up = np.array([0.48, -0.6, 0.64])
+    photographs: list[Path | None] = [write_upright(tmp_path / c.name, c.pose, up) for c in cameras.cameras]
+    found = []
+
+    def read(path: Path) -> PhotographMetadata:
+        found.append(path)
+        return load_metadata(path)
+
+    moved = find_world(Listener(), "in", cameras, WorldOptions(), photographs, automatic=True, read=read)
+    assert moved is not None
+    assert moved.world.upright
+    assert found == photographs
 
 
 @pytest.mark.parametrize("text", ["1.2m", "a=1m", "a,b", "a,b=", "a,b=1km", "a,b=-1m", "a,b=0", "a,b=nan", ",b=1", ""])

@@ -16,12 +16,11 @@ upright.
 from __future__ import annotations
 
 import io
-import math
 import struct
 import warnings
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from numbers import Real
 from typing import Any, Literal
 
@@ -30,8 +29,8 @@ import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
 from nerfbake import memory
-from nerfbake.errors import InvalidFile, Problem
-from nerfbake.formats.wire import gravity, heif, xmp
+from nerfbake.errors import InvalidFile, NerfbakeError, Problem
+from nerfbake.formats.wire import heif, metadata
 from nerfbake.formats.wire.colour_profile import into_srgb
 from nerfbake.formats.wire.png import require_checksums
 from nerfbake.kernels.soundness import MAX_EDGE
@@ -298,17 +297,27 @@ def decode_photograph(view: memoryview, size: tuple[int, int] | None = None) -> 
         return photograph_of(picture.transpose(turn))
 
 
-def check_photograph(view: memoryview) -> tuple[int, int]:
-    """Return width and height of a photograph that decode_photograph() can read. Raises InvalidFile, MemoryLimit.
+def check_photograph(view: memoryview) -> metadata.Metadata:
+    """Return what a photograph says that decode_photograph() can read. Raises InvalidFile, MemoryLimit.
 
     A JPEG is decoded at an eighth of its resolution, in a tenth of the time: that reads all of its data, too.
     """
     with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=4) as picture:
         _require_mode(picture)
-        size = picture.size
+        found = metadata.metadata_of(picture)
         picture.draft(None, (1, 1))
         picture.load()
-        return size
+        return found
+
+
+def read_metadata(view: memoryview) -> metadata.Metadata:
+    """Return what a photograph says of itself; nothing if it cannot be opened.
+
+    view: the first bytes of a PNG or a JPEG, or a whole HEIC.
+    """
+    with suppress(NerfbakeError), opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=0) as picture:
+        return metadata.metadata_of(picture)
+    return metadata.Metadata()
 
 
 def _require_mode(picture: Image.Image) -> None:
@@ -330,7 +339,7 @@ def jpeg_of_heic(view: memoryview) -> bytes:
 
 
 _JPEG_QUALITY = 95
-_EXIF, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x8769, 0x920A, 0xA405  # EXIF 2.32, tables 4 and 8
+_FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x920A, 0xA405  # EXIF 2.32, table 8
 
 
 def _lens_of(picture: Image.Image) -> bytes:
@@ -338,7 +347,7 @@ def _lens_of(picture: Image.Image) -> bytes:
     try:
         found, kept = picture.getexif(), Image.Exif()
         kept.update(_numbers_of(found, _ORIENTATION))
-        kept.get_ifd(_EXIF).update(_numbers_of(found.get_ifd(_EXIF), _FOCAL_LENGTH, _FOCAL_LENGTH_35MM))
+        kept.get_ifd(metadata.EXIF).update(_numbers_of(found.get_ifd(metadata.EXIF), _FOCAL_LENGTH, _FOCAL_LENGTH_35MM))
         return kept.tobytes()
     except Exception:  # Pillow raises many types for damaged EXIF, which says nothing about the pixels
         return b""
@@ -346,66 +355,6 @@ def _lens_of(picture: Image.Image) -> bytes:
 
 def _numbers_of(tags: Any, *names: int) -> dict[int, Any]:
     return {name: tags[name] for name in names if isinstance(tags.get(name), Real)}
-
-
-_GPS = 0x8825  # EXIF 2.32, 4.6.6: its tags are 1 N or S, 2 latitude, 3 E or W, 4 longitude, 5 below the sea, 6 altitude
-
-
-def place_of(view: memoryview) -> tuple[float, float, float] | None:
-    """Return latitude and longitude in degrees and altitude in metres where a photograph was taken.
-
-    view: the first bytes of a JPEG, or a whole HEIC. None unless its EXIF data hold all three.
-    """
-    try:
-        with opened(view, "the picture", "JPEG", "HEIF", bytes_per_pixel=0) as picture:
-            tags = picture.getexif().get_ifd(_GPS)
-        latitude, longitude = (_degrees(tags[number], tags[number - 1]) for number in (2, 4))
-        altitude = float(tags[6]) * (-1 if tags.get(5) in (1, b"\x01") else 1)
-    except Exception:  # Pillow raises many types for damaged EXIF, which says nothing about the pixels
-        return None
-    fine = abs(latitude) <= 90 and abs(longitude) <= 180 and abs(altitude) <= _MOST_ALTITUDE
-    return (latitude, longitude, altitude) if fine and (latitude or longitude) else None
-
-
-_MOST_ALTITUDE = 1e5  # metres
-
-
-def _degrees(parts: Any, side: Any) -> float:
-    degrees, minutes, seconds = map(float, parts)
-    return (-1 if str(side)[:1] in "SW" else 1) * (degrees + minutes / 60 + seconds / 3600)
-
-
-def is_panorama(view: memoryview) -> bool:
-    """Return whether a photograph says that it shows all directions, and is twice as wide as high.
-
-    view: the first bytes of a PNG or a JPEG, or a whole HEIC. Raises InvalidFile.
-    """
-    with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=0) as picture:
-        packet, (width, height) = picture.info.get("xmp"), picture.size
-    return width == 2 * height and isinstance(packet, bytes) and xmp.is_all_round(xmp.properties_of(packet))
-
-
-_MAKER_NOTE, _LENS_MODEL = 0x927C, 0xA434  # EXIF 2.32, tables 7 and 8
-
-
-def up_of(view: memoryview) -> tuple[float, float, float] | None:
-    """Return the direction that points up in a photograph, x right, y up, z back, by its camera's sensors; or None.
-
-    view: the first bytes of a PNG or a JPEG, or a whole HEIC.
-    """
-    try:
-        with opened(view, "the picture", *_PHOTOGRAPHS, bytes_per_pixel=0) as picture:
-            packet = picture.info.get("xmp")
-            up = gravity.up_of_angles(xmp.properties_of(packet)) if isinstance(packet, bytes) else None
-            tags = picture.getexif().get_ifd(_EXIF) if up is None and picture.format != "PNG" else {}
-            # A JPEG that was turned upright has the axes of the sensor no more; a selfie's are mirrored.
-            odd = picture.format != "HEIF" and picture.width < picture.height
-            if up is None and _MAKER_NOTE in tags and not odd and "front" not in str(tags.get(_LENS_MODEL)):
-                found = gravity.up_of_apple(tags[_MAKER_NOTE])
-                up = found and gravity.turned(found, picture.info.get("original_orientation") or 1)
-    except Exception:  # Pillow raises many types for damaged EXIF, which says nothing about the pixels
-        return None
-    return up if up is not None and all(map(math.isfinite, up)) else None
 
 
 _PREVIEW_QUALITY = 80  # of JPEG: 20 to 40 kB at 480 x 360
