@@ -264,10 +264,6 @@ COMPRESSION_MAGIC = b"\x28\xb5\x2f\xfd"
 WRAPPING = "nerfbake.formats.wire.wrapping"
 ARCHIVES = (".npz", ".sog", ".tar", ".pt", ".pth", ".ckpt", ".th", ".usdz")  # formats that are zip archives themselves
 
-# Files that do not contain a scene by themselves; each is read by one command only.
-PHOTOGRAPHS = "nerfbake.formats.wire.picture"
-CHECKPOINTS = "nerfbake.formats.wire.checkpoint"
-
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 
 # Names of the scene types in messages, and advice if a command does not take a scene.
@@ -313,11 +309,15 @@ def load_wrapping() -> contract.WrappingFormat:
 
 
 def load_photographs() -> contract.PhotographFormat:
-    return cast(contract.PhotographFormat, import_module(PHOTOGRAPHS))
+    return cast(contract.PhotographFormat, import_module("nerfbake.formats.wire.picture"))
+
+
+def load_videos() -> contract.VideoFormat:
+    return cast(contract.VideoFormat, import_module("nerfbake.formats.wire.video"))
 
 
 def load_checkpoints() -> contract.CheckpointFormat:
-    return cast(contract.CheckpointFormat, import_module(CHECKPOINTS))
+    return cast(contract.CheckpointFormat, import_module("nerfbake.formats.wire.checkpoint"))
 
 
 def uncompressed(name: str) -> str:
@@ -493,6 +493,8 @@ def format_of_content(path: str, view: memoryview, *wanted: str) -> Format:
         return by_ending[0]
     if unread := unread_file(path):
         raise InvalidFile(f"is a file of {unread[0]}, which is not read; allowed: {unread[1]}")
+    if load_videos().container_of(bytes(view[:16])):
+        raise InvalidFile("is a video; allowed: a folder of its frames, which `nerfbake frames` makes")
     start = bytes(view[:8]).hex(" ") or "nothing"
     endings = ", ".join(dict.fromkeys(form.suffix for form in known))
     raise InvalidFile(f"starts with {start}, which is no known format; allowed: {endings}")

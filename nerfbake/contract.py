@@ -14,9 +14,10 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from numbers import Real
 from types import NoneType, UnionType
-from typing import Any, Literal, NamedTuple, Protocol, Union, get_args, get_origin, get_type_hints
+from typing import IO, Any, Literal, NamedTuple, Protocol, Union, get_args, get_origin, get_type_hints
 
 from nerfbake.errors import Problem, UsageError, one_line
 
@@ -278,6 +279,9 @@ class PhotographFormat(Protocol):
     def jpeg_of_heic(self, view: memoryview, /) -> bytes:
         """Return a HEIC as JPEG of the same size, with its EXIF data. Raises InvalidFile, MemoryLimit."""
 
+    def encode_photograph(self, pixels: Any, /) -> bytes:
+        """Return (H, W, 3) uint8, sRGB, as a JPEG."""
+
     def encode_thumbnail(self, view: memoryview, edge: int, /) -> bytes:
         """Return the picture as a PNG of at most `edge` pixels per side. Raises InvalidFile, MemoryLimit."""
 
@@ -286,6 +290,16 @@ class PhotographFormat(Protocol):
 
         size: (W, H) of the camera.
         """
+
+
+class VideoFormat(Protocol):
+    """The videos that photographs are taken from."""
+
+    def container_of(self, head: bytes, /) -> str:
+        """Return the container of a video by the first bytes of the file; '' if it is no video."""
+
+    def opened_video(self, file: IO[bytes], /) -> AbstractContextManager[Any]:
+        """Open a video, whose frames are decoded inside the block. Raises InvalidFile, MemoryLimit, UsageError."""
 
 
 class CheckpointFormat(Protocol):

@@ -26,6 +26,7 @@ EXTRAS = {
     "warp": "warp",
     "pycolmap": "poses",
     "pillow_heif": "heic",
+    "av": "video",
     "pxr": "usd",
     "wgpu": "gpu",
     "sklearn": "bench",

@@ -27,6 +27,7 @@ from nerfbake.cli.compare import compare
 from nerfbake.cli.compress import compress
 from nerfbake.cli.convert import convert
 from nerfbake.cli.fit import fit
+from nerfbake.cli.frames import frames
 from nerfbake.cli.hull import hull
 from nerfbake.cli.info import info
 from nerfbake.cli.lattice import lattice
@@ -52,7 +53,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 GROUPS = {
-    "Create": (poses, fit, refit, sample),
+    "Create": (frames, poses, fit, refit, sample),
     "Convert": (svo, vdb, lattice, splats, mesh, atlas, convert, compress, lod, hull, ship, shaders),
     "View": (view, render, info),
     "Measure": (compare, check, atlas_error, bench),

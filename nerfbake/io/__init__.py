@@ -50,6 +50,8 @@ from nerfbake.io.targets import require_absent as require_absent
 from nerfbake.io.targets import require_no_folder as require_no_folder
 from nerfbake.io.targets import require_rejected_absent as require_rejected_absent
 from nerfbake.io.targets import require_room as require_room
+from nerfbake.io.videos import opened_video as opened_video
+from nerfbake.io.videos import save_photograph as save_photograph
 from nerfbake.io.writing import PendingFile as PendingFile
 from nerfbake.io.writing import format_for as format_for
 from nerfbake.io.writing import keep_partial as keep_partial

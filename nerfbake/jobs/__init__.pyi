@@ -29,6 +29,8 @@ from .fits import FitResult as FitResult
 from .fits import fit_file as fit_file
 from .fits import fit_scene as fit_scene
 from .fitted_pictures import FittedPictures as FittedPictures
+from .frames import FramesResult as FramesResult
+from .frames import take_frames as take_frames
 from .function_voxels import FunctionVoxels as FunctionVoxels
 from .grids import GridChoice as GridChoice
 from .hulls import bake_hull as bake_hull

@@ -38,7 +38,8 @@ _CONTENTS = io.FolderContents(
 _PICTURES = "images"
 # Photographs and videos that are not read, so that an error can name one.
 _RAW = (".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2")
-_OTHERS = (".webp", ".avif", ".jxl", ".tif", ".tiff", ".bmp", ".gif", ".dng", *_RAW, ".mov", ".mp4")
+_VIDEOS = (".mov", ".mp4", ".mkv", ".webm", ".avi")
+_OTHERS = (".webp", ".avif", ".jxl", ".tif", ".tiff", ".bmp", ".gif", ".dng", *_RAW, *_VIDEOS)
 _COMMAND = [sys.executable, "-P", "-m", "nerfbake.jobs._pycolmap"]  # -P ignores the working directory
 _LEAST_ROOM = 1 << 22  # bytes on the disk: with less, pycolmap fails for lack of room
 _ENDS = {"models", "missing", "unread", "failed", "moved"}  # what the last line of the process says
@@ -158,7 +159,7 @@ def _pictures_of(folder: Path, name: str) -> tuple[Path, list[str]]:
     """Return the folder that has the pictures, and their sorted names."""
     if not io.is_folder(folder):
         found = "is not a folder" if folder.exists() else "does not exist"
-        raise InvalidFile(f"{found}; allowed: a folder of photographs", source=name)
+        raise InvalidFile(f"{found}; allowed: {_allowed(folder.name, 'a folder of photographs')}", source=name)
     names: list[str] = []
     place = folder
     for place in (folder / _PICTURES, folder):
@@ -170,15 +171,22 @@ def _pictures_of(folder: Path, name: str) -> tuple[Path, list[str]]:
             break
     if len(names) < LEAST:
         found = f"are {len(names)}" if names else "are missing"
-        if not names and (other := _unread(folder)):
+        other = "" if names else _unread(folder)
+        if other:
             found = f"are missing, except for files such as {other}"
         allowed = f"{LEAST} or more .jpg, .jpeg, .png or .heic in the folder or in its subfolder {_PICTURES}"
-        raise InvalidFile(Problem("the pictures", found, allowed), source=name)
+        raise InvalidFile(Problem("the pictures", found, _allowed(other, allowed)), source=name)
     for each in names:
         if not each.isprintable() or "\\" in each:
             problem = Problem(f"the name {each!r}", "cannot be written", "printable characters, no \\")
             raise InvalidFile(problem, source=name)
     return place, names
+
+
+def _allowed(file: str, otherwise: str) -> str:
+    """What is allowed instead of this file: of a video its frames."""
+    is_video = file.lower().endswith(_VIDEOS)
+    return "a folder of the video's frames, which `nerfbake frames` makes" if is_video else otherwise
 
 
 def _require_outputs(folder: Path, force: bool) -> None:

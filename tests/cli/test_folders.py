@@ -54,7 +54,7 @@ def test_every_command_that_writes_a_folder_is_in_this_list() -> None:
     words = re.compile(r"\b(FolderTarget|replacing_folder|save_files|save_folder|saving_folder)\b")
     jobs = {path.stem for path in (REPOSITORY / "nerfbake/jobs").glob("*.py") if words.search(path.read_text())}
     known = {"atlases", "budgets", "cameras", "files", "lattices", "meshes", "poses", "samples", "shaders", "shipments"}
-    known |= {"fit_state", "splats"}  # levels of splats
+    known |= {"fit_state", "frames", "splats"}  # levels of splats
     assert jobs == known
 
 

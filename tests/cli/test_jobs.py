@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 
 from nerfbake import build_field, build_octree, jobs, orbit_cameras, save
@@ -17,6 +18,7 @@ from nerfbake.cli import main
 from nerfbake.jobs import ComparedViews, ComparisonLimits, ComparisonOutputs, PictureOutputs, ViewSelection
 from tests.support.rooms import write_room
 from tests.support.scenes import n3tree
+from tests.support.videos import write_video
 
 # atlas.json tells the options that were given; the command gives them all.
 ATLAS_DEFAULTS: Any = {
@@ -104,6 +106,7 @@ JOBS: dict[str, tuple[list[str], Callable[[str], object]]] = {
         ["a.npz", "OUT", "--for", "unity", "--cameras", "c.json"],
         lambda out: jobs.ship_file("a.npz", out, targets=("unity",), cameras="c.json"),
     ),
+    "frames": (["a.mkv", "OUT", "--count", "3"], lambda out: jobs.take_frames("a.mkv", out, count=3)),
     "poses": (["OUT", "--seed", "3"], lambda out: jobs.find_poses(out, seed=3)),
     "mesh": (
         ["a.npz", "OUT.glb", *MESH, "--lods", "500,100", "--in-up", "z", "--lit", "--image", "png"],
@@ -170,6 +173,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     jobs.write_sample_stage1(folder / "in", resolution=32)
     jobs.write_sample_capture(folder / "photographs", frames=10, edge=32)
     jobs.bake_atlas_folder(str(folder / "in"), folder / "baked", clusters=3, map_size=8)
+    write_video(folder / "a.mkv", np.random.default_rng(0).random((5, 16, 16, 3)))
     write_room(folder / "poses-command")
     shutil.copytree(folder / "poses-command", folder / "poses-job")
     return folder

@@ -29,6 +29,7 @@ from tests.support.outputs import SCHEMAS, SUFFIX, read_output, validator
 from tests.support.rooms import write_room
 from tests.support.source import PACKAGE, imports
 from tests.support.usd import in_this_process as in_this_process
+from tests.support.videos import write_video
 
 ATLAS = "--map-size 8 --directions 9 --json"
 MESH = "--frames 8 --edge 32 --triangles 500 --texture 64 --json"
@@ -63,6 +64,7 @@ LINES = {
     f"mesh a.npz OUT.glb {MESH}": 0,
     f"mesh a.npz OUT.ply {MESH} --min-psnr 90": 3,
     f"mesh a.npz OUT {MESH}": 0,
+    "frames a.mkv OUT --count 3 --json": 0,
     "poses room --json": 0,
     "refit coarse.svo.pb OUT.svo.pb --like a.npz --frames 4 --edge 24 --epochs 1 --json": 0,
     "refit coarse.svo.pb OUT.svo.pb --views photographs --epochs 1 --json": 0,
@@ -100,6 +102,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     jobs.bake_atlas_folder(folder / "in", folder / "baked", clusters=3, map_size=8)
     jobs.write_sample_capture(folder / "photographs", frames=10, edge=32)
     write_room(folder / "room")
+    write_video(folder / "a.mkv", np.random.default_rng(0).random((5, 16, 16, 3)))
     return folder
 
 

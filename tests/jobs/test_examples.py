@@ -6,12 +6,14 @@ import doctest
 import inspect
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import nerfbake
 from nerfbake import jobs
 from tests.support.rooms import write_room
 from tests.support.source import public_names
+from tests.support.videos import write_video
 
 
 @pytest.fixture(scope="module")
@@ -23,6 +25,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     jobs.write_sample_stage1(folder / "mesh_stage1", resolution=32)
     jobs.write_sample_capture(folder / "photographs", frames=16, edge=32)
     write_room(folder / "room")
+    write_video(folder / "walk.mp4", np.random.default_rng(0).random((60, 16, 16, 3)))
     return folder
 
 

@@ -62,6 +62,7 @@ LINES = {
     "fit photos a.npz --masks m --state s --plot c.svg": DeclaredPaths(("m",), ("photos",), ("a.npz", "c.svg"), ("s",)),
     "mesh a b.glb --views photos": DeclaredPaths(("a",), ("photos",), ("b.glb",)),
     "mesh a b.obj --min-psnr 9": DeclaredPaths(("a",), (), ("b.obj",), ("b.obj.rejected", "b.mtl", "b.png", "b.jpg")),
+    "frames a.mp4 out": DeclaredPaths(("a.mp4",), (), ("out",)),
     "poses photos": DeclaredPaths(("photos",), (), ("photos/transforms.json", "photos/sparse/0")),
     "refit a b --views photos": DeclaredPaths(("a",), ("photos",), ("b",)),
     "render a --out p.png --depth --alpha --mesh m.glb": DeclaredPaths(

@@ -80,6 +80,7 @@ OWN_LIBRARY = {
     "formats/wire/usd/_child": {"pxr"},  # in a process of its own
     "formats/wire/usd/package": {"deflate"},
     "formats/wire/usd/text": {"orjson"},
+    "formats/wire/video": {"av"},
     "formats/wire/yaml": {"yaml"},
     "formats/wire/zip_reader": {"deflate"},
     "formats/wire/zstd": {"zstandard"},
@@ -89,6 +90,7 @@ OWN_LIBRARY = {
     "stages/mesh_to_mesh": {"fast_simplification"},
 }
 HEAVY = {
+    "av",
     "fast_simplification",
     "blosc",
     "deflate",

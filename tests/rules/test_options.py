@@ -31,6 +31,7 @@ JOBS: dict[str, Callable[..., Any]] = {
     "atlas-error": jobs.measure_atlas,
     "compress": jobs.compress_file,
     "convert": jobs.convert_file,
+    "frames": jobs.take_frames,
     "hull": jobs.bake_hull,
     "lattice": jobs.bake_lattice,
     "lod": jobs.bake_lod,

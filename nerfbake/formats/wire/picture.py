@@ -272,6 +272,13 @@ def encode_picture(texels: npt.NDArray[np.uint8], coding: Coding) -> bytes:
     return file.getvalue()
 
 
+def encode_photograph(pixels: npt.NDArray[np.uint8]) -> bytes:
+    """Encode (H, W, 3) uint8 as a JPEG of high quality."""
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "JPEG", quality=_JPEG_QUALITY, subsampling=0)
+    return file.getvalue()
+
+
 _ORIENTATION = 0x0112  # EXIF 2.32, table 4
 _UPRIGHT = {  # by orientation: the quarter turns
     5: Image.Transpose.TRANSPOSE,
