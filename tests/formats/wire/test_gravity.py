@@ -53,8 +53,8 @@ def test_a_heic_is_upright_when_it_is_decoded(tmp_path: Path) -> None:
 
 def test_a_gain_map_behind_a_photograph_changes_nothing(tmp_path: Path) -> None:
     level, more = np.array([-1.0, 0, 0]), [Pillow.new("L", (4, 3))]
-    assert load_up(write_apple(tmp_path / "a.jpg", level, more=more)) == pytest.approx((0, 1, 0))
-    assert load_up(write_apple(tmp_path / "b.jpg", level, size=(6, 8), more=more)) is None  # it was turned
+    assert load_metadata(write_apple(tmp_path / "a.jpg", level, more=more)).up == pytest.approx((0, 1, 0))
+    assert load_metadata(write_apple(tmp_path / "b.jpg", level, size=(6, 8), more=more)).up is None  # it was turned
 
 
 def test_what_says_nothing_is_none(tmp_path: Path) -> None:
