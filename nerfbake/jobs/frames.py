@@ -11,7 +11,7 @@ from nerfbake import io, progress
 from nerfbake.errors import UsageError
 from nerfbake.jobs.files import AnySource, as_source
 from nerfbake.jobs.steps import SILENT, Steps
-from nerfbake.stages.frames_to_sharpest import choose_sharpest, measure_sharpness
+from nerfbake.stages.sharpness import choose_sharpest, measure_sharpness
 
 A_SECOND, FEWEST, MOST = 2, 40, 150  # frames that are taken by default; `poses` compares all pairs of 150 pictures
 _EDGE = 640  # pixels of the pictures whose sharpness is measured: noise counts less than at full size

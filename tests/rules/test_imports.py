@@ -162,7 +162,7 @@ def test_imports_form_no_circle() -> None:
 def test_only_io_opens_files() -> None:
     openers = {"open", "read_bytes", "read_text", "write_bytes", "write_text", "memmap", "fromfile", "tofile"}
     # These open a device, bytes in memory, metadata of a package, files in their own process, or the cache of kernels.
-    no_files = {"main", "picture", "installation", "_pycolmap", "_child", "kernel_cache"}
+    no_files = {"main", "picture", "video", "installation", "_pycolmap", "_child", "kernel_cache"}
     for path in modules():
         if "io" in path.parts or "bench" in path.parts:  # benchmarks of files open them
             continue

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,10 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
 from nerfbake.installation import require_installed
+from nerfbake.kernels.arrays import Floats
+from nerfbake.kernels.maths.affine import rotate
+from nerfbake.kernels.maths.elementary import exp, power
+from nerfbake.kernels.picture.metrics import from_linear
 from nerfbake.kernels.soundness import MAX_EDGE
 
 if TYPE_CHECKING:
@@ -32,7 +37,7 @@ _HLG, _PQ, _BT2020 = 18, 16, 9  # ITU-T H.273, tables 2 and 3
 _WHITE = {_HLG: 0.75, _PQ: 0.58}  # the signal of reference white
 # BT.2087-0, annex 2: linear BT.2020 to linear BT.709, whose primaries are those of sRGB.
 _TO_709 = np.array(
-    [[1.660491, -0.587641, -0.072850], [-0.124550, 1.132900, -0.008349], [-0.018151, -0.100579, 1.118730]], np.float32
+    [[1.660491, -0.587641, -0.072850], [-0.124550, 1.132900, -0.008349], [-0.018151, -0.100579, 1.118730]]
 )
 
 
@@ -45,7 +50,7 @@ def container_of(head: bytes) -> str:
     return "avi" if head[:4] == b"RIFF" and head[8:12] == b"AVI " else ""
 
 
-class Frame:
+class DecodedFrame:
     """A decoded frame. Its pixels are converted on demand."""
 
     def __init__(self, frame: VideoFrame) -> None:
@@ -61,8 +66,8 @@ class Frame:
         """Return (H, W, 3) sRGB, row 0 at the top, upright."""
         curve = int(self._frame.color_trc)
         if curve in _WHITE:
-            wide = int(self._frame.color_primaries) == _BT2020
-            pixels = np.concatenate([_standard(row[None], curve, wide) for row in self._converted("rgb48le")])
+            light, wide = _light_of(curve), int(self._frame.color_primaries) == _BT2020
+            pixels = np.stack([_standard(light[row], wide) for row in self._converted("rgb48le")])
         else:
             pixels = self._converted("rgb24")
         return np.ascontiguousarray(np.rot90(pixels, round(self._frame.rotation / 90)))
@@ -88,14 +93,14 @@ class Video:
         codec = container.streams.video[0].codec_context
         self.size = (codec.width, codec.height)
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[DecodedFrame]:
         """Decode the frames in the order in which they are shown. Raises InvalidFile."""
         with _broken():
             for frame in self._container.decode(video=0):
                 if (frame.width, frame.height) != self.size:
                     found = f"has {frame.width}x{frame.height} pixels"
                     raise InvalidFile(Problem("a frame", found, "{}x{}, as the first one".format(*self.size)))
-                yield Frame(frame)
+                yield DecodedFrame(frame)
 
 
 @contextmanager
@@ -154,29 +159,25 @@ def _broken() -> Iterator[None]:
         raise InvalidFile(Problem("the video", f"cannot be decoded ({reason})", "a whole video")) from None
 
 
-def _standard(signal: npt.NDArray[np.uint16], curve: int, wide: bool) -> npt.NDArray[np.uint8]:
-    """Convert (..., 3) HDR to sRGB. wide: its primaries are those of BT.2020."""
-    levels = np.arange(65536, dtype=np.float32) / 65535
-    light = _LIGHT[curve](levels) / _LIGHT[curve](np.float32(_WHITE[curve]))
-    linear = light.astype(np.float32)[signal]
-    if wide:
-        linear = linear @ _TO_709.T
-    linear = np.clip(linear, 0, 1)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.rint(255 * encoded).astype(np.uint8)
+def _standard(light: Floats, wide: bool) -> npt.NDArray[np.uint8]:
+    """Convert (..., 3) linear light to sRGB. wide: its primaries are those of BT.2020."""
+    return np.rint(255 * from_linear(rotate(light, _TO_709) if wide else light)).astype(np.uint8)
 
 
-def _light_of_hlg(signal: Any) -> Any:
+@lru_cache(1)
+def _light_of(curve: int) -> Floats:
+    """(65536,) light of each signal of HDR, 1 for reference white."""
+    light = (_light_of_hlg if curve == _HLG else _light_of_pq)(np.arange(65536) / 65535)
+    return light / light[round(65535 * _WHITE[curve])]
+
+
+def _light_of_hlg(signal: Floats) -> Floats:
     """The inverse of HLG's OETF: the light of the scene, 1 at the peak."""
-    a, b, c = 0.17883277, 0.28466892, 0.55991073
-    return np.where(signal <= 0.5, signal**2 / 3, (np.exp((signal - c) / a) + b) / 12)
+    return np.where(signal <= 0.5, signal**2 / 3, (exp((signal - 0.55991073) / 0.17883277) + 0.28466892) / 12)
 
 
-def _light_of_pq(signal: Any) -> Any:
+def _light_of_pq(signal: Floats) -> Floats:
     """PQ's EOTF: the light of the display, 1 at 10,000 cd/m2."""
-    m1, m2, c1, c2, c3 = 1305 / 8192, 2523 / 32, 107 / 128, 2413 / 128, 2392 / 128
-    root = signal ** (1 / m2)
-    return (np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1)
-
-
-_LIGHT = {_HLG: _light_of_hlg, _PQ: _light_of_pq}
+    root = power(np.maximum(signal, 1e-9), 32 / 2523)
+    light = np.maximum(root - 107 / 128, 1e-30) / (2413 / 128 - 2392 / 128 * root)
+    return power(light, 8192 / 1305)

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nerfbake.stages.frames_to_sharpest import choose_sharpest, measure_sharpness
+from nerfbake.stages.sharpness import choose_sharpest, measure_sharpness
 
 
 def test_sharpness_by_hand() -> None:
