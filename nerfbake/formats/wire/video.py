@@ -161,7 +161,14 @@ def _broken() -> Iterator[None]:
 
 def _standard(light: Floats, wide: bool) -> npt.NDArray[np.uint8]:
     """Convert (..., 3) linear light to sRGB. wide: its primaries are those of BT.2020."""
-    return np.rint(255 * from_linear(rotate(light, _TO_709) if wide else light)).astype(np.uint8)
+    linear = rotate(light, _TO_709) if wide else light
+    return _encoded()[np.rint(65535 * np.clip(linear, 0, 1)).astype(np.uint16)]
+
+
+@lru_cache(1)
+def _encoded() -> npt.NDArray[np.uint8]:
+    """(65536,) sRGB of linear light in steps of 1 / 65535, of which darkness has 20 for each step of sRGB."""
+    return np.rint(255 * from_linear(np.arange(65536) / 65535)).astype(np.uint8)
 
 
 @lru_cache(1)
