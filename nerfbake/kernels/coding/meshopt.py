@@ -79,7 +79,8 @@ def _fill_deltas(data: Bytes, at: int, end: int, control: int, size: int, deltas
     if control == 3:
         if at + size > end:
             return -1
-        deltas[:size] = data[at : at + size]
+        for i in range(size):
+            deltas[i] = data[at + i]
         return at + size
     groups = (size + _GROUP - 1) // _GROUP
     heads = at

@@ -111,7 +111,9 @@ def _finish_layers(layers: Layers, hidden: Singles, other: Singles, logits: Sing
             other[o] = bias[o]
         dense(layers.middle[layer], hidden, other)
         relu(other)
-        hidden[:] = other
+        for o in range(len(other)):
+            for lane in range(LANES):
+                hidden[o, lane] = other[o, lane]
     for channel in range(3):
         logits[channel] = layers.last_bias[channel]
     dense(layers.last, hidden, logits)

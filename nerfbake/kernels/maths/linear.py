@@ -148,7 +148,9 @@ def _substitute(core: int, cores: int, band: Floats, x: Floats) -> None:
                 factor = band[i, i - k]
                 for t in range(own.shape[1]):
                     own[k, t] -= factor * own[i, t]
-        x[:, part * _COLUMNS : (part + 1) * _COLUMNS] = own
+        for i in range(n):
+            for t in range(own.shape[1]):
+                x[i, part * _COLUMNS + t] = own[i, t]
 
 
 _SWEEPS = 40  # at most; eight are usual

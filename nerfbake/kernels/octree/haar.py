@@ -287,7 +287,8 @@ def _restore(
     for block in range(core, len(sums), cores):
         begin = blocks.heads[block]
         points = np.empty((blocks.heads[block + 1] - begin, C))
-        points[0] = sums[block]
+        for c in range(C):
+            points[0, c] = sums[block, c]
         for i in range(blocks.first[block], blocks.first[block + 1]):
             pair = blocks.pairs[i]
             p, q = _weights(merges, pair)

@@ -305,7 +305,8 @@ def _project(
     for i in range(begin, end):
         output = np.empty(n, np.float32)
         _show(features[i], mlp, hidden, output)
-        out[i] = -shift
+        for q in range(p):
+            out[i, q] = -shift[q]
         for j in range(0, whole, 4):
             a, b, c, d = output[j], output[j + 1], output[j + 2], output[j + 3]
             for q in range(p):
