@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import signal
@@ -84,12 +85,17 @@ def fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
 RUN_AT_IMPORT = pytest.StashKey[list[str]]()  # the kernels that ran while tests were collected
 
 
-def pytest_collection_finish(session: pytest.Session) -> None:
-    session.config.stash[RUN_AT_IMPORT] = kernels_that_ran()
-
-
 def pytest_configure(config: pytest.Config) -> None:
     config.option.loadscopereorder = False  # xdist would begin with the files of the most tests, however short they are
+    gc.disable()
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Take modules and tests out of garbage collection: they stay, and every full collection would visit them."""
+    session.config.stash[RUN_AT_IMPORT] = kernels_that_ran()
+    gc.collect()
+    gc.freeze()
+    gc.enable()
 
 
 # Seconds: an estimate for each test, by its first marker here, and the files of tests that take much longer.
