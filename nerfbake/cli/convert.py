@@ -75,12 +75,11 @@ def convert(
     """Convert between formats, and report any loss.
 
     Writes the octree IN in another format or layout, or the volume IN as .vdb, .nvdb or .vdb.npz, without loss.
-    A field that another program trained becomes a PlenOctree (.npz) or an octree; the loss against its own pictures is
-    printed.
+    A field that another program trained becomes a PlenOctree (.npz) or an octree. Prints the loss against its own
+    pictures.
     Gaussian splats become .ply, .spz, .sog, .glb or USD (.usda, .usdc, .usdz), or the folder of a .sog if OUT is
-    FOLDER/meta.json. The largest and median loss are printed.
-    With --in-up, they are rotated so that this axis of their world, in which `info` describes them, points up in the
-    new file.
+    FOLDER/meta.json. Prints the largest and the median loss. --in-up names the axis of their world, as `info` describes
+    it, that points up: they are rotated so that it points up in OUT, too.
 
     A volume, or another scene as in `nerfbake svo`, becomes an octree, too. That of a volume is complete if `nerfbake
     vdb` wrote the volume with the grids `index` or `density,sh`. From any other fog volume the octree gets the density

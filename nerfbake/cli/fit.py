@@ -53,7 +53,7 @@ fit_options = bundled(
         type=NumberRange(0.1, 600),
         help="Select a schedule that takes this many minutes on two cores, or on the graphics card.",
     ),
-    click.option("--epochs", metavar="SCHEDULE", help="Schedule, in the notation in which each run prints its own."),
+    click.option("--epochs", metavar="SCHEDULE", help="Schedule, as each run prints its own."),
     click.option(
         "--resolution",
         type=click.Choice([32, 64, 128, 256, 512]),

@@ -43,7 +43,7 @@ codec_option = click.option(
 )
 Command = Callable[..., Any]
 ALL = "all"
-CAPTURE = "a transforms.json, or a folder with one, with a COLMAP model, or with LLFF or NSVF poses"
+CAPTURE = "a transforms.json, cameras of COLMAP or of another tool, or a folder with them"
 
 
 class Number(FloatParamType):

@@ -36,8 +36,7 @@ photograph_options = bundled(
         "--masks",
         metavar="DIR",
         type=Reads(),
-        help="Folder with a mask NAME.png for each picture, white where the object is, or where a picture with scenery "
-        "is used.",
+        help="Folder with a mask NAME.png for each picture: white where the object is, or with scenery what is fitted.",
     ),
     click.option(
         "--test",

@@ -33,17 +33,15 @@ splat_file_options = bundled(
         "--in-axes",
         type=AxesName(),
         help="Axes of splats in IN, instead of those that it names: where x, y and z point (Left or Right, Up or Down,"
-        " Front or Back).  [default: RUB in files of Niantic that name none, LUF in glTF]",
+        " Front or Back).  [default: RUB in a .spz that names none, LUF in glTF]",
     ),
-    click.option(
-        "--axes", type=AxesName(), help="Axes in which a Niantic file is written, which names them.  [default: RUB]"
-    ),
+    click.option("--axes", type=AxesName(), help="Axes of a .spz as OUT, which stores their name.  [default: RUB]"),
     click.option(
         "--spz-version",
         type=click.Choice(["3", "4"]),
         callback=lambda ctx, param, value: value and int(value),
-        help="Version of a Niantic file. 3: for older programs.  [default: 4]",
+        help="Version of a .spz as OUT. 3: for older programs.  [default: 4]",
     ),
-    click.option("--small", is_flag=True, help="Store SH of splats in 4 and 5 instead of 8 bits (.spz)."),
+    click.option("--small", is_flag=True, help="Store the SH of a .spz in 4 and 5 bits instead of 8."),
     without=("half",),  # of `convert`, which is for volumes, too
 )

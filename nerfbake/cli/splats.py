@@ -151,9 +151,9 @@ def splats(
     them to photographs (--views) or to pictures of IN. Splats are antialiased: viewers that know the flag show them
     right at every size. Prints the PSNR and SSIM of OUT on held-out photographs, or on pictures of IN from other sides.
 
-    If IN is splats, several of them are joined where they are, or where --place puts them, then cut, and neighbours are
-    merged until --count are left, which are fitted to the same pictures. If none are merged, they are fitted to
-    photographs alone.
+    If IN is splats, several files are joined where they are, or where --place puts them. Then they are cut, and
+    neighbours are merged until --count are left, which are fitted to the same pictures. If none have to be merged, they
+    are only fitted if there are photographs.
 
     Splats of a field stand upright in OUT: z of the field becomes the up axis of the format.
 
