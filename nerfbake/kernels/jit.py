@@ -45,6 +45,9 @@ def compiled(*, inline: bool = False, merged: bool = False) -> Callable[[Functio
 
     A division by zero returns what IEEE 754 defines: a check before each division would prevent vectorisation.
 
+    Kernels copy arrays in loops. To assign one to a slice compiles numba's message about other shapes, which takes
+    several seconds in each process.
+
     fastmath is off: it lets the compiler reorder, fuse and approximate operations depending on the CPU, so the last
     bits of the results would differ between CPUs. Where a sum is to be vectorised, the code states which terms are
     added together.
