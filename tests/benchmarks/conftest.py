@@ -50,12 +50,13 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for camera in views.cameras:
         save(chairs / "views" / f"{camera.name}.png", render_field(field, camera))
     save_folder(folder / "nerf2mesh" / "mesh_stage1", sample_stage1(resolution=EDGE))
-    _write_captures(folder / "captures")
     return folder
 
 
-def _write_captures(folder: Path) -> None:
-    """Write plush, eight photographs of the sample room with a COLMAP model, and mug, the sample scene with masks."""
+@pytest.fixture(scope="session")
+def photographed(data: Path) -> Path:
+    """Plush, eight photographs of the sample room with a COLMAP model, and mug, the sample scene with masks."""
+    folder = data / "captures"
     room = orbit_room(frames=8, width=240, height=180)
     plush = write_colmap_binary(folder / "plush", _rig(room))
     for i, camera in enumerate(room.cameras):
@@ -67,6 +68,7 @@ def _write_captures(folder: Path) -> None:
         image = render_field(field, camera, background=None)
         write_picture(mug / "images" / f"r_{i}.JPG", image.over((0.5, 0.5, 0.5)).pixels)
         write_picture(mug / "masks" / f"r_{i}.png", (255 * image.alpha).astype(np.uint8))
+    return folder
 
 
 def _rig(cameras: Cameras) -> Rig:

@@ -47,6 +47,7 @@ def test_a_process_with_one_busy_thread_works_alone() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("photographed")
 def test_the_report_has_a_row_for_each_command_and_number_of_threads(
     scenes: Scenes, monkeypatch: pytest.MonkeyPatch
 ) -> None:

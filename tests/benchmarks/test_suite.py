@@ -252,7 +252,7 @@ def test_papers(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("commands_as_forks")
+@pytest.mark.usefixtures("commands_as_forks", "photographed")
 def test_captures(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(captures, "ROWS", tuple(row._replace(options=SHORT) for row in captures.ROWS[3:]))
     monkeypatch.setattr(captures, "ALONE", captures.ALONE._replace(options=SHORT))
@@ -347,7 +347,7 @@ def test_atlas(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("in_this_process", "commands_as_forks")
+@pytest.mark.usefixtures("in_this_process", "commands_as_forks", "photographed")
 def test_compress(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nerfbake.bench.compress.LOSSES", (0.1,))
     for name, value in (("GOALS", (0.3,)), ("FRAMES", 8), ("EDGE", 16), ("FIT", SHORT)):
@@ -367,7 +367,7 @@ def test_compress(scenes: Scenes, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_entry_writes_what_is_asked_for_and_nothing_where_something_is_missing(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def made(benchmark: Any, scenes: Scenes) -> dict[str, bytes]:
         assert scenes.folder.is_dir()
