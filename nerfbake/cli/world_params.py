@@ -16,9 +16,10 @@ def world_options(default: str) -> Callable[[Command], Command]:
         "jobs.world.WorldOptions",
         click.option(
             "--scale",
-            metavar="gps|NAME1,NAME2=1.2m|none",
+            metavar="gps|POINT,POINT=1.2m|none",
             help="Unit of the world. gps: metres, x east, y north, z up, by the positions in the photographs. "
-            f"NAME1,NAME2=1.2m: the distance between two photographs (m, cm or mm).  [default: {default}]",
+            "POINT,POINT=1.2m: the distance between two points (m, cm or mm), each the NAME of a photograph, for its "
+            f"place, or what two photographs show at a pixel, NAME:X:Y+NAME:X:Y.  [default: {default}]",
         ),
         click.option(
             "--ground",

@@ -96,6 +96,10 @@ def find_poses(
     require_installed("pycolmap", "finding poses")
     _require_outputs(folder, force)
     groups, round_ones, known = _same_sizes(steps, place, names, panoramas)
+    if (distance := world.distance()) is not None:
+        shown = [(str(path.relative_to(folder)),) for path in known]
+        sizes = [said.size or (0, 0) for said in known.values()]
+        distance.require_shown(shown, sizes.__getitem__)
     if sequential is None:
         sequential = len(names) > MOST_EXHAUSTIVE
     with _model_folder(folder, force) as part:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from nerfbake import io
-from nerfbake.errors import InvalidScene, Problem, UsageError
+from nerfbake.errors import InvalidScene, Problem
+from nerfbake.jobs.known_distance import KnownDistance, frame_by_distance, parse_distance
 from nerfbake.jobs.steps import Steps
 from nerfbake.kernels.soundness import plural
 from nerfbake.scene.camera import Cameras
@@ -21,24 +21,17 @@ if TYPE_CHECKING:
     from nerfbake.stages.frames import Gravity
 
 GPS, NONE = "gps", "none"
-_UNITS = {"": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001}
-_DISTANCE = re.compile(r"([0-9]{1,9}(?:\.[0-9]{0,9})?|\.[0-9]{1,9}) ?(m|cm|mm)?")
 _SURE = 6  # photographs with a position, of which those that fit are used without being asked for
 _OFF = 0.1  # of the spread of the positions: a larger median residual says that they are too rough for it
-
-
-class _Pair(NamedTuple):
-    first: str
-    second: str
-    metres: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldOptions:
     """In which world cameras are used.
 
-    scale   gps: metres, with x east, y north and z up, by the GPS positions in the photographs; NAME1,NAME2=1.2m: the
-            distance between two photographs; None: as in the file
+    scale   gps: metres, with x east, y north and z up, by the GPS positions in the photographs; POINT,POINT=1.2m: the
+            distance between two points, each the NAME of a photograph, for its place, or what two photographs show at a
+            pixel, NAME:X:Y+NAME:X:Y; None: as in the file
     ground  turn the world so that the ground, the largest plane of sparse points below the cameras, is z = 0
     """
 
@@ -46,20 +39,11 @@ class WorldOptions:
     ground: bool = False
 
     def __post_init__(self) -> None:
-        self.pair()
+        self.distance()
 
-    def pair(self) -> _Pair | None:
-        """Return the known distance between two photographs, or None. Raises UsageError for what is neither."""
-        if self.scale in (None, GPS, NONE):
-            return None
-        names, _, distance = str(self.scale).rpartition("=")
-        first, comma, second = names.partition(",")
-        match = _DISTANCE.fullmatch(distance.strip())
-        metres = float(match[1]) * _UNITS[match[2] or ""] if match else 0.0
-        if not (first and comma and second and 1e-6 <= metres <= 1e9):
-            allowed = "gps, none, or NAME1,NAME2=1.2m, with m, cm or mm"
-            raise UsageError(f"`scale` is {str(self.scale)[:60]!r}; allowed: {allowed}")
-        return _Pair(first.strip(), second.strip(), metres)
+    def distance(self) -> KnownDistance | None:
+        """Return the known distance, or None. Raises UsageError for what is neither that nor gps nor none."""
+        return None if self.scale in (None, GPS, NONE) else parse_distance(str(self.scale))
 
     @property
     def asked(self) -> bool:
@@ -103,13 +87,19 @@ def find_world(
     def metadata() -> list[io.PhotographMetadata | None]:
         return [None if path is None else read_once(path) for path in photographs]
 
+    def size_of(number: int) -> tuple[int, int]:
+        camera, path = cameras.cameras[number], photographs[number] if photographs else None
+        own = camera.width, camera.height
+        width, height = own if path is None else read_once(path).size or own
+        turned = width != height and (width > height) == (camera.width < camera.height)
+        return (height, width) if turned else (width, height)
+
     with io.blame(name):
         frame, world, told = Frame(), cameras.world, []
-        if (pair := options.pair()) is not None:
-            first, second = (_number(cameras, each) for each in pair[:2])
-            frame = stage.frame_between(cameras, first, second, pair.metres)
+        if (distance := options.distance()) is not None:
+            frame, found_by = frame_by_distance(cameras, distance, size_of)
             world = World(metres=True, upright=world.upright)
-            told.append(f"by {pair.metres:g} m between {cameras.names[first]} and {cameras.names[second]}")
+            told.append(found_by)
         elif options.scale == GPS or (automatic and options.scale is None):
             found = _by_positions(steps, name, cameras, metadata(), asked=options.scale == GPS)
             if found is not None:
@@ -156,7 +146,7 @@ def _by_positions(
     if len(kept) < (LEAST if asked else _SURE):
         if asked:
             found = f"have a GPS position and an altitude in {len(kept)} of {plural(len(places), 'file')}"
-            raise InvalidScene(Problem("the photographs", found, f"{LEAST} or more, or `scale=NAME1,NAME2=1.2m`"))
+            raise InvalidScene(Problem("the photographs", found, f"{LEAST} or more, or `scale=POINT,POINT=1.2m`"))
         return None
     positions, middle = local_positions([EarthPlace(*place) for place in places if place is not None])
     try:
@@ -192,15 +182,3 @@ def _by_gravity(
     except InvalidScene as error:
         steps.say(f"{name}: gravity is not used: {error}")
         return None
-
-
-def _number(cameras: Cameras, name: str) -> int:
-    """Return the number of the camera with this name, or whose picture has it, with or without extension."""
-    found = {i for i, camera in enumerate(cameras.cameras) if name in (camera.name, camera.picture)}
-    if not found:
-        known = (PurePosixPath(camera.picture or camera.name) for camera in cameras.cameras)
-        found = {i for i, path in enumerate(known) if name in (path.name, path.stem)}
-    if len(found) != 1:
-        text = f"names {len(found)} cameras" if found else "names no camera"
-        raise UsageError(f"{name[:80]!r} of `scale` {text}; allowed: a photograph such as {cameras.names[0]}")
-    return found.pop()

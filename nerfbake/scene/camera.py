@@ -17,7 +17,7 @@ import numpy.typing as npt
 from nerfbake import memory
 from nerfbake.errors import InvalidScene, Problem
 from nerfbake.kernels.arrays import Floats
-from nerfbake.kernels.maths.affine import inverse, rotate, transform_points
+from nerfbake.kernels.maths.affine import inverse, length, rotate, transform_points
 from nerfbake.kernels.maths.elementary import sine_cosine
 from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.base import Scene
@@ -197,6 +197,21 @@ class Camera(CompactRepr):
         across, down, along = np.moveaxis(directions, -1, 0)
         directions /= np.sqrt(across * across + down * down + along * along)[..., None]
         return self.pose[:3, 3], directions.reshape(-1, 3)
+
+    def look(self, x: float, y: float) -> npt.NDArray[np.float64]:
+        """The unit direction (3,) in the world of what the picture shows at x, y, in pixels from the upper left corner.
+
+        Raises InvalidScene if nothing is seen there through the lens.
+        """
+        across, down, ahead = (x - self.cx) / self.fx, (y - self.cy) / self.fy, 1.0
+        if self.bends:
+            assert self.lens is not None
+            looks, fine = self.lens.looks(np.array([[across, down]]))
+            if not fine[0]:
+                raise InvalidScene(self._no_look(int(y) * self.width + int(x), 1))
+            across, down, ahead = looks[0].tolist()
+        look = rotate(np.array([across, -down, -ahead]), self.pose[:3, :3])
+        return look / length(look)
 
     def slopes(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None:
         """Where the rays of the columns (W,) and of the rows (H,) cross the plane at distance 1, x right, y up.

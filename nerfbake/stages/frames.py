@@ -79,13 +79,11 @@ def _geocentric(place: EarthPlace) -> Floats:
     return np.array([flat * float(d), flat * float(t), (across * (1 - square) + place.altitude) * float(s)])
 
 
-def frame_between(cameras: Cameras, first: int, second: int, distance: float) -> Frame:
-    """Return the frame that scales the world so that two cameras are `distance` apart. Raises InvalidScene."""
-    eyes = cameras.eyes
-    found = length(eyes[first] - eyes[second])
-    names = f"cameras {cameras.names[first]} and {cameras.names[second]}"
-    if not found > 1e-9 * float(np.abs(eyes).max()):
-        raise InvalidScene(Problem(names, "are at the same place", "two cameras with a distance"))
+def frame_between(first: Floats, second: Floats, distance: float, names: str) -> Frame:
+    """Return the frame that scales the world so that two positions (3,) are `distance` apart. Raises InvalidScene."""
+    found = length(first - second)
+    if not found > 1e-9 * float(np.abs([first, second]).max()):
+        raise InvalidScene(Problem(names, "are at the same place", "two places with a distance"))
     scale = distance / found
     if not 1e-9 <= scale <= 1e9:
         raise InvalidScene(Problem(names, f"are {found:g} units apart, a scale of {scale:g}", "1e-9 to 1e9"))

@@ -76,7 +76,8 @@ def build_views(
 
 def pose_picture(camera: Camera, pixels: Pixels, *, edge: int | None = None) -> PosedPicture:
     """Return one picture of build_views(). Raises InvalidScene, MemoryLimit."""
-    camera, (height, width), factor = _resized(camera, pixels), pixels.shape[:2], 1
+    (height, width), factor = pixels.shape[:2], 1
+    camera = resized_to(camera, width, height)
     if edge is not None and (factor := -(-min(width, height) // edge)) > 1:
         from nerfbake.kernels.picture.reduction import reduced_picture  # here, because it imports numba
 
@@ -119,9 +120,8 @@ def _require_used(cameras: Cameras, most: Sequence[int]) -> None:
             raise InvalidScene(Problem(place, "has no pixel with alpha 255", "a mask that is white somewhere"))
 
 
-def _resized(camera: Camera, pixels: Pixels) -> Camera:
+def resized_to(camera: Camera, width: int, height: int) -> Camera:
     """Return the camera in its picture's size. Raises InvalidScene if the aspect ratios differ."""
-    height, width = pixels.shape[:2]
     if (width, height) == (camera.width, camera.height):
         return camera
     # Both edges of a scaled picture are rounded.

@@ -89,7 +89,7 @@ def test_each_photograph_is_read_once(cameras: Cameras, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["1.2m", "a=1m", "a,b", "a,b=", "a,b=1km", "a,b=-1m", "a,b=0", "a,b=nan", ",b=1", ""])
 def test_what_is_no_distance_is_refused(text: str) -> None:
-    with pytest.raises(UsageError, match=r"allowed: gps, none, or NAME1,NAME2=1\.2m"):
+    with pytest.raises(UsageError, match=r"allowed: gps, none, or POINT,POINT=1\.2m"):
         WorldOptions(scale=text)
 
 
