@@ -240,7 +240,8 @@ class _Search:
             if best is not None and self._size(best) >= _NEAR * most:
                 break
         if best is None:
-            raise BudgetMissed(Problem("the octree", f"takes at least {size:,} bytes", f"`max_size={most:,}`"))
+            found = f"takes at least {size:,} bytes, and `max_size` is {most:,}"
+            raise BudgetMissed(Problem("the octree", found, f"`max_size={size}` or more"))
         return self._made(best)
 
     def at_step(self, step: float) -> Compression:
