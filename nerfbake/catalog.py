@@ -362,8 +362,9 @@ def format_of_path(path: str, scene: str) -> Format:
         raise UsageError(
             "a .usdz cannot contain a .vdb; allowed: .usda or .usdc, which are written with a .vdb beside it"
         )
-    endings = ", ".join(form.suffix for form in known)
-    raise UsageError(f"{path!r} has no file extension for {NOUNS[scene]}; allowed: {endings}, or `to=FORMAT`")
+    makers = [f"`nerfbake {name}` makes {NOUNS[made]}" for made, name in MAKERS.items() if is_ending(path, made)]
+    endings, other = ", ".join(form.suffix for form in known), f" ({', '.join(makers)})" if makers else ""
+    raise UsageError(f"{path!r} has no file extension for {NOUNS[scene]}{other}; allowed: {endings}, or `to=FORMAT`")
 
 
 def is_ending(path: str, scene: str) -> bool:

@@ -71,7 +71,7 @@ def test_there_and_back_through_pipes(shell: Shell, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["vdb", "a.npz", "b.obj"], 2, "has no file extension for a volume; allowed: .vdb.npz, .vdb, .nvdb"),
+        (["vdb", "a.npz", "b.obj"], 2, "for a volume (`nerfbake mesh` makes a mesh); allowed: .vdb.npz, .vdb"),
         (["vdb", "a.npz", "-"], 2, "stdout has no file extension; allowed: --to FORMAT"),
         (["vdb", "a.npz", "b.vdb", "--grids", "colour"], 2, "--grids are 'colour'; allowed: some of density"),
         (["vdb", "a.npz", "b.vdb", "--grids", "index"], 2, "a .vdb has no index grids; allowed"),
