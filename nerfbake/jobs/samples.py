@@ -93,7 +93,7 @@ def write_sample_capture(
     if object not in (SHAPES, *OBJECTS):
         raise UsageError(f"`object` is {object!r}; allowed: {', '.join((SHAPES, *OBJECTS))}")
     if room and object != SHAPES:
-        raise UsageError(f"`object` {object} is not in the room; allowed: one of `object` and `room`")
+        raise UsageError(f"`object` {object} and `room` are two scenes; allowed: one of them")
     if room:
         cameras, render = _room(frames, edge, seed)
     elif object == SHAPES:
