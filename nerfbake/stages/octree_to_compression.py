@@ -240,8 +240,8 @@ class _Search:
             if best is not None and self._size(best) >= _NEAR * most:
                 break
         if best is None:
-            found = f"takes at least {size:,} bytes, and `max_size` is {most:,}"
-            raise BudgetMissed(Problem("the octree", found, f"`max_size={size}` or more"))
+            found = f"takes at least {min(self._sizes.values()):,} bytes, and `max_size` is {most:,}"
+            raise BudgetMissed(Problem("the octree", found, "a larger `max_size`"))
         return self._made(best)
 
     def at_step(self, step: float) -> Compression:
