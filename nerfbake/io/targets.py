@@ -351,10 +351,13 @@ def _is_regular(path: Path) -> bool:
 
 
 def _require_place(target: str | Path) -> None:
-    """Raise OutputError, with the system's message, if nothing can be created at the target's path."""
+    """Raise OutputError, with the folder that is missing or the system's message, if nothing can be created there."""
     path = Path(os.path.realpath(target))
     if not path.is_dir() and not _is_regular(path):
         return  # a pipe or a device, which is written to directly
+    if not os.path.lexists(path.parent):
+        folder = Path(target).parent
+        raise OutputError(f"its folder {folder} does not exist; allowed: an existing folder", source=str(target))
     with blame(str(target), OutputError):
         with suppress(FileNotFoundError):
             path.lstat()  # fails if there is a file in place of a folder

@@ -70,7 +70,7 @@ def test_sizes_are_what_was_read(shell: Shell, tmp_path: Path) -> None:
         (["--html", "-"], 2, "--sheet and --html cannot be stdout, which gets the figures; allowed: a file"),
         (["--sheet", "-"], 2, "--sheet and --html cannot be stdout, which gets the figures; allowed: a file"),
         (["--html", "page.txt"], 2, "has no file extension for a page of a comparison; allowed: .html"),
-        (["--html", "none/page.html", "--size", "9x9"], 4, "none/page.html: No such file or directory"),
+        (["--html", "none/page.html", "--size", "9x9"], 4, "none/page.html: its folder none does not exist"),
         (["--html", "page.html", "--max-memory", "1MB"], 1, "in use; allowed: 976.6 KiB (--max-memory)"),
     ],
 )

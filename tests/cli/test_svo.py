@@ -45,7 +45,7 @@ def test_options_of_svo(shell: Shell, tmp_path: Path) -> None:
     [
         (["svo", "nope.npz", "b.svo.pb"], 1, "nope.npz: No such file or directory"),
         (["svo", ".", "b.svo.pb"], 1, ".: is a folder of unknown kind"),
-        (["svo", "a.npz", "nowhere/b.svo.pb"], 4, "nowhere/b.svo.pb: No such file or directory"),
+        (["svo", "a.npz", "nowhere/b.svo.pb"], 4, "nowhere/b.svo.pb: its folder nowhere does not exist; allowed: an"),
         (["svo", "a.npz", "a.npz"], 2, "'a.npz' has no file extension for an octree; allowed: .svo.npz"),
         (["svo", "a.npz", "-"], 2, "stdout has no file extension; allowed: --to FORMAT"),
         (["svo", "a.npz", "b.svo.pb", "--to", "obj"], 2, "an octree cannot be written as 'obj'"),
