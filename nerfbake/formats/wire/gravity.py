@@ -2,7 +2,8 @@
 
 Directions are in the camera's axes: x right, y up, z back, of the picture as it is stored.
 
-DJI            XMP: GimbalPitchDegree, -90 straight down; GimbalRollDegree, positive if the right side is lower
+DJI            XMP: GimbalPitchDegree, -90 straight down; GimbalRollDegree, positive if the right side is lower. A
+               panorama has them, too: of the gimbal, not of the picture that was stitched
 GPano          XMP of a panorama: PosePitchDegrees and PoseRollDegrees, the same
 Apple          EXIF MakerNote: "Apple iOS", NUL, two bytes, "MM", and a directory of TIFF tags, of which 8 is the
                acceleration in g: three fractions, along the left, bottom and back of the phone seen from its front
@@ -26,7 +27,8 @@ _REST = (0.8, 1.2)  # g: the camera was not moved
 
 def up_of_angles(properties: Mapping[str, str]) -> Up | None:
     """Return the direction by the angles in XMP properties, or None. Raises ValueError for text that is no number."""
-    for names in _ANGLES:
+    stitched = "ProjectionType" in properties
+    for names in _ANGLES[stitched:]:
         if all(name in properties for name in names):
             pitch, roll = (math.radians(float(properties[name])) for name in names)
             flat = math.cos(pitch)

@@ -36,6 +36,16 @@ def test_a_stitcher_stores_the_angles_of_a_panorama(tmp_path: Path) -> None:
     assert load_metadata(tmp_path / "a.png").up == pytest.approx((0, ROOT, HALF), abs=1e-12)
 
 
+def test_the_gimbal_says_nothing_of_a_panorama_that_a_drone_stitched(tmp_path: Path) -> None:
+    """A real one of DJI has both groups of properties, without the pose of GPano."""
+    gimbal = 'xmlns:dji="http://www.dji.com/drone-dji/1.0/" dji:GimbalPitchDegree="-90" dji:GimbalRollDegree="+0.00"'
+    path = tmp_path / "a.jpg"
+    for pose, up in (("", None), (' GPano:PosePitchDegrees="0" GPano:PoseRollDegrees="0"', (0, 1, 0))):
+        packet = GPANO.format(f'GPano:ProjectionType="equirectangular" {gimbal}{pose}')
+        path.write_bytes(tagged((64, 32), packet, "JPEG"))
+        assert load_metadata(path).up == (up and pytest.approx(up))
+
+
 # As three real photographs of iPhones have it, which were looked at: held level, looking up and looking down.
 @pytest.mark.parametrize(
     ("acceleration", "up"),
