@@ -1,7 +1,8 @@
 """Read raw captures of Polycam: keyframes/corrected_cameras/TIME.json beside keyframes/corrected_images/TIME.jpg.
 
 t_00 ... t_23    row i and column j of camera to world, ARKit's axes (those of OpenGL), metres, y up
-fx, fy, cx, cy, width, height    pixels of the picture as the sensor has it
+fx, fy, cx, cy, width, height    pixels of the picture as the sensor has it; corrected cameras since 2025 have no width
+                 and height (nerfstudio's pull request 3725), and then the picture says them
 
 The corrected folders, whose pictures have no distortion, are read if both are there; else cameras and images, whose
 distortion is not in the files.
@@ -48,12 +49,14 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
         for i in range(3):
             for j in range(4):
                 pose[i, j] = number(fields, f"t_{i}{j}", path)
-        size = tuple(edge_of(number(fields, key, path), f"{path}: {key}") for key in ("width", "height"))
-        focal, centre = (tuple(number(fields, key, path) for key in keys) for keys in (("fx", "fy"), ("cx", "cy")))
         label = each.removesuffix(".json")
-        posed.append(
-            Posed(label, album.find(label), pose, (size[0], size[1]), (focal[0], focal[1]), (centre[0], centre[1]))
-        )
+        picture = album.find(label)
+        size = None if "width" in fields else album.size(picture)
+        if size is None:
+            width, height = (edge_of(number(fields, key, path), f"{path}: {key}") for key in ("width", "height"))
+            size = width, height
+        focal, centre = (tuple(number(fields, key, path) for key in keys) for keys in (("fx", "fy"), ("cx", "cy")))
+        posed.append(Posed(label, picture, pose, size, (focal[0], focal[1]), (centre[0], centre[1])))
     raw = cameras.rpartition("/")[2] == _RAW[0]
     source = f"{cameras}/*.json" if cameras else "*.json"
     return cameras_of(posed, dialect="Polycam", source=source, notes=(_UNCHECKED, *((_DISTORTED,) if raw else ())))

@@ -255,6 +255,21 @@ def test_polycam_without_corrected_pictures_says_that_they_are_distorted(tmp_pat
     assert any("their distortion is in no file" in note for note in read.notes)
 
 
+def test_polycam_of_2025_leaves_the_size_to_the_corrected_picture(tmp_path: Path, made: Rig) -> None:
+    file = tmp_path / tools.write_polycam(tmp_path, made)
+    whole = load(file, Cameras)
+    for path in file.parent.iterdir():
+        fields = json.loads(path.read_text())
+        del fields["width"], fields["height"]
+        path.write_text(json.dumps(fields))
+    read = load(file, Cameras)
+    assert {(camera.width, camera.height) for camera in read.cameras} == {(made.width, made.height)}
+    assert [camera.focal for camera in read.cameras] == [camera.focal for camera in whole.cameras]
+    (tmp_path / "keyframes/corrected_images/r_0.png").unlink()
+    with pytest.raises(NerfbakeError, match=r"r_0\.json: width is missing"):
+        load(file, Cameras)
+
+
 def test_test_frames_of_scannet_are_held_out(tmp_path: Path) -> None:
     frame = {"file_path": "a.jpg", "transform_matrix": np.eye(4).tolist()}
     fields = {"w": 4, "h": 3, "fl_x": 5.0, "frames": [frame, frame], "test_frames": [{**frame, "file_path": "b.jpg"}]}
