@@ -12,6 +12,7 @@ import atexit
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import suppress
 from contextvars import Context, copy_context
 from functools import wraps
 from queue import SimpleQueue
@@ -126,15 +127,17 @@ class _Pool:
 
     def invite(self, shared: _Shared, helpers: int) -> None:
         """Ask so many threads to help, or fewer if the operating system allows no more. Busy ones come later."""
-        try:
-            while len(self._threads) < helpers:
+        self.start(helpers)
+        for _ in range(min(helpers, len(self._threads))):
+            self._invitations.put(shared)
+
+    def start(self, threads: int) -> None:
+        """Have so many threads, or fewer if the operating system allows no more."""
+        with suppress(RuntimeError):
+            while len(self._threads) < threads:
                 thread = Thread(target=self._serve, name="nerfbake", daemon=True)
                 thread.start()
                 self._threads.append(thread)
-        except RuntimeError:
-            helpers = len(self._threads)
-        for _ in range(helpers):
-            self._invitations.put(shared)
 
     def _serve(self) -> None:
         while (shared := self._invitations.get()) is not None:
@@ -219,14 +222,17 @@ def in_order(works: Iterable[Callable[[], Item]], *, most: int | None = None) ->
 
     def results(count: int) -> Generator[Item]:
         while len(waiting) > count:
+            first, made = waiting[0]
             for shared, _ in waiting:
+                if made or first.errors:  # what is not begun is left to the other threads
+                    break
                 shared.run()
-            shared, made = waiting[0]
-            shared.finish()
-            shared.raise_first()
+            first.finish()
+            first.raise_first()
             waiting.popleft()
             yield made.pop()
 
+    _pool.start(most - 1)
     try:
         for work in works:
             waiting.append(_begun(work, most - 1))

@@ -341,6 +341,22 @@ def test_results_come_in_order_and_few_at_once(cores: int, most: int | None, mon
     assert sorted(begun) == list(range(20))
 
 
+def test_all_threads_do_works_that_come_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parallel, "_pool", parallel._Pool())
+    monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 4)
+    all_here, here = Barrier(4), list[int]()
+
+    def work(number: int) -> None:
+        if number < 4:
+            all_here.wait(10)
+        sleep(0.01)
+        if current_thread() is main_thread():
+            here.append(number)
+
+    assert len(list(parallel.in_order(partial(work, number) for number in range(24)))) == 24
+    assert len(here) <= 16
+
+
 def test_an_error_comes_in_its_place_and_ends_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nerfbake.kernels.parallel.cores", lambda: 3)
     begun, seen = list[int](), list[int]()
