@@ -123,6 +123,7 @@ class FitPasses:
         self._rays, self._residuals, self._nothing = gpu.empty(16), gpu.empty(16), gpu.empty(16)
         self._cells: _Cells | None = None
         self._bound: dict[Any, Bound] = {}
+        self._groups: dict[Any, Any] = {}  # of buffers, which views and passes share
         self._units: dict[Any, float] = {}
         self._pending: list[tuple[Download, float, int]] = []
         self._settled = 0.0  # when the last work ended
@@ -318,7 +319,7 @@ class FitPasses:
         rays = max(visit.view.size * visit.samples**2 * (2 if visit.losses.distortion else 1) for visit in visits)
         if 16 * rays > self._rays.size or 16 * pixels > self._residuals.size:
             self._settle()
-            self._bound.clear()
+            self._unbind()
             largest = self.gpu.limits.binding
             self._rays = self.gpu.empty(max(16 * rays, min(20 * rays, largest)), f"{rays:,} rays of a view")
             self._residuals = self.gpu.empty(max(16 * pixels, min(20 * pixels, largest)), f"{pixels:,} pixels")
@@ -349,7 +350,8 @@ class FitPasses:
         if (name, key) not in self._bound:
             cells = self._held()
             shared = {"view": self._records, "totals": self._totals, "rays": self._rays, "residuals": self._residuals}
-            self._bound[name, key] = self.gpu.bind(cells.pipelines[name], {**cells.buffers, **shared, **own})
+            buffers = {**cells.buffers, **shared, **own}
+            self._bound[name, key] = self.gpu.bind(cells.pipelines[name], buffers, self._groups)
         return self._bound[name, key]
 
     def _held(self) -> _Cells:
@@ -359,9 +361,13 @@ class FitPasses:
     def _forget(self) -> None:
         """Free the cells of the stage before."""
         self._settle()
-        self._bound.clear()
+        self._unbind()
         self._units.clear()
         self._cells = None
+
+    def _unbind(self) -> None:
+        self._bound.clear()
+        self._groups.clear()
 
     def _ranges(self, bricks: BrickGrid, D: int) -> Iterator[tuple[int, int]]:
         """Yield the first and the last brick of parts whose values fit into a binding."""

@@ -123,6 +123,7 @@ class Gpu:
     _closed: bool = field(default=False, init=False, repr=False)
     spare: list[Any] = field(default_factory=list, init=False, repr=False)
     _pipelines: dict[tuple[object, ...], Pipeline] = field(default_factory=dict, init=False, repr=False)
+    _layouts: dict[tuple[tuple[int, str], ...], Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         wgpu, own = library.load(), self._adapter.limits
@@ -220,7 +221,7 @@ class Gpu:
         with library.quiet(f"{self.name}: the shader {entry}"):
             module = self._device.create_shader_module(code=wgsl)
             layouts = [
-                self._device.create_bind_group_layout(entries=[_entry(*each) for each in _of_group(names, group)])
+                self._layout(_of_group(names, group))
                 for group in range(1 + max((group for group, *_ in names.values()), default=-1))
             ]
             handle = self._device.create_compute_pipeline(
@@ -229,21 +230,32 @@ class Gpu:
             )
         return Pipeline(handle, layouts, names)
 
-    def bind(self, pipeline: Pipeline, buffers: Mapping[str, Buffer]) -> Bound:
-        """Return the pipeline with its buffers, by name. Other names are ignored. Raises DeviceError."""
+    def _layout(self, entries: tuple[tuple[int, str], ...]) -> Any:
+        """Return the layout of a group of bindings. Pipelines with the same one can have the same groups."""
+        if entries not in self._layouts:
+            made = self._device.create_bind_group_layout(entries=[_entry(*each) for each in entries])
+            self._layouts[entries] = made
+        return self._layouts[entries]
+
+    def bind(self, pipeline: Pipeline, buffers: Mapping[str, Buffer], made: dict[Any, Any] | None = None) -> Bound:
+        """Return the pipeline with its buffers, by name. Other names are ignored. Raises DeviceError.
+
+        made: the groups of earlier calls, which are used again for the same buffers, and kept alive.
+        """
+        made = {} if made is None else made
         uniform, dynamic = None, -1
         for name, (group, _, kind) in pipeline.names.items():
             if kind == "uniform":
                 uniform, dynamic = buffers[name], group
         groups = []
-        with library.quiet(f"{self.name}: binding buffers"):
-            for group, layout in enumerate(pipeline.layouts):
-                entries = [
-                    {"binding": binding, "resource": _window(buffers[name])}
-                    for name, (own, binding, _) in pipeline.names.items()
-                    if own == group
-                ]
-                groups.append(self._device.create_bind_group(layout=layout, entries=entries))
+        for group, layout in enumerate(pipeline.layouts):
+            held = {binding: buffers[name] for name, (own, binding, _) in pipeline.names.items() if own == group}
+            key = layout, *held.items()
+            if key not in made:
+                entries = [{"binding": number, "resource": _window(buffer)} for number, buffer in held.items()]
+                with library.quiet(f"{self.name}: binding buffers"):
+                    made[key] = self._device.create_bind_group(layout=layout, entries=entries)
+            groups.append(made[key])
         return Bound(pipeline, groups, uniform, dynamic)
 
     def submit(self, work: Sequence[Dispatch]) -> None:
@@ -251,11 +263,14 @@ class Gpu:
         with library.quiet(f"{self.name}: submitting work"):
             encoder = self._device.create_command_encoder()
             running = encoder.begin_compute_pass()
+            there: dict[int, tuple[Any, list[int]]] = {}
             for bound, groups, record in work:
                 running.set_pipeline(bound.pipeline.handle)
                 for group, handle in enumerate(bound.groups):
                     own = [record * bound.uniform.stride] if bound.uniform and group == bound.dynamic else []
-                    running.set_bind_group(group, handle, own)
+                    if there.get(group) != (handle, own):  # a call takes longer than many a pass
+                        running.set_bind_group(group, handle, own)
+                        there[group] = handle, own
                 running.dispatch_workgroups(*self._axes(groups))
             running.end()
             self._device.queue.submit([encoder.finish()])
@@ -301,8 +316,8 @@ def _kind(space: str, access: str) -> str:
     return "storage" if access == "read_write" else "read-only-storage"
 
 
-def _of_group(names: Mapping[str, tuple[int, int, str]], group: int) -> list[tuple[int, str]]:
-    return [(binding, kind) for own, binding, kind in names.values() if own == group]
+def _of_group(names: Mapping[str, tuple[int, int, str]], group: int) -> tuple[tuple[int, str], ...]:
+    return tuple((binding, kind) for own, binding, kind in names.values() if own == group)
 
 
 def _entry(binding: int, kind: str) -> dict[str, Any]:

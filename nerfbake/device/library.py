@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,6 +31,8 @@ def load() -> Any:
     """
     if _process and _process[0] != os.getpid():
         raise DeviceError("the graphics driver cannot be used in a process that was forked after it was loaded")
+    if _process:  # this is called for every use of the device
+        return sys.modules[MODULE]
     with _quiet_environment():
         try:
             import wgpu
