@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from math import floor, inf, log2
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.fit.bricks import BrickGrid
 from nerfbake.kernels.fit.rays import SUMS
 from nerfbake.kernels.fit.update import CORNER_RATE, LearningRates
+from nerfbake.kernels.parallel import over_chunks
 
 _VIEW = np.dtype(  # the record `View` of view.wgsl
     [
@@ -48,6 +50,7 @@ _FEWEST_STEPS = float(1 << 12)
 _RANGE = float(1 << 30)
 _SUM_OF_RAY = 2.0  # a ray adds about this to a sum of a cell, or less
 _GROUP = 64  # threads
+_TOGETHER = 1 << 18  # numbers that a core copies or looks at
 _PER_SUBMIT = 0.25  # seconds: drivers stop work that takes longer than one or two
 _PER_CALL = 1.5  # seconds: Ctrl-C and the progress wait as long
 _HARMONICS = "wgsl/harmonics"
@@ -192,14 +195,24 @@ class FitPasses:
         others = [gpu.read_later(buffers[name], np.float32, means.size) for name in ("means", "seen")]
         if bricks.smooth:
             others.append(gpu.read_later(buffers["corners"], np.float32, 4 * len(bricks.corners.raw)))
-        found, more = [reading.take() for reading in readings], [reading.take() for reading in others]
-        if not all(np.isfinite(array).all() for array in found + more[:2]):
-            raise DeviceError(f"{gpu.name}: the values are not numbers")
-        np.concatenate(found, out=bricks.values)
-        means[:], seen[:] = more[0].reshape(-1, 2), more[1].reshape(-1, 2)
-        if bricks.smooth:
-            corners = more[2].reshape(-1, 4)
-            bricks.corners.raw[:], bricks.corners.mean[:] = corners[:, 0], corners[:, 1]
+        with ExitStack() as mapped:
+            found, more = ([mapped.enter_context(each.mapped()) for each in some] for some in (readings, others))
+            for array in found + more[:2]:
+                self._require_numbers(array)
+            for (begin, _, _), array in zip(cells.parts, found, strict=True):
+                _copy(array, bricks.values[D * int(bricks.first[begin]) :])
+            for array, out in zip(more, (means, seen), strict=False):
+                _copy(array, out.reshape(-1))
+            if bricks.smooth:
+                corners = more[2].reshape(-1, 4)
+                bricks.corners.raw[:], bricks.corners.mean[:] = corners[:, 0], corners[:, 1]
+
+    def _require_numbers(self, array: npt.NDArray[Any]) -> None:
+        def look(begin: int, end: int) -> None:
+            if not np.isfinite(array[begin:end]).all():
+                raise DeviceError(f"{self.gpu.name}: the values are not numbers")
+
+        over_chunks(look, len(array), _TOGETHER)
 
     # -- views ---------------------------------------------------------------------------------------------------
     def upload_directions(self, directions: Singles) -> Buffer:
@@ -376,6 +389,15 @@ class FitPasses:
             end = int(np.searchsorted(bricks.first, bricks.first[begin] + most, side="right")) - 1
             yield begin, max(end, begin + 1)
             begin = max(end, begin + 1)
+
+
+def _copy(array: npt.NDArray[Any], out: npt.NDArray[Any]) -> None:
+    """Copy an array (n,) to the begin of another one, on all cores."""
+
+    def copy(begin: int, end: int) -> None:
+        out[begin:end] = array[begin:end]
+
+    over_chunks(copy, len(array), _TOGETHER)
 
 
 def _centres(bricks: BrickGrid, at: Any, r: int) -> npt.NDArray[np.float64]:

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -86,7 +87,7 @@ class Dispatch(NamedTuple):
 
 @dataclass(eq=False)
 class Download:
-    """An array on its way from the device. take() waits for it."""
+    """An array on its way from the device. take() or mapped() waits for it. Call one of them, once."""
 
     gpu: Gpu
     staging: Any
@@ -94,13 +95,20 @@ class Download:
     dtype: np.dtype[Any]
 
     def take(self) -> npt.NDArray[Any]:
-        """Return the array (n,), once the work that was submitted before is done. Call it once. Raises DeviceError."""
+        """Return the array (n,), once the work that was submitted before is done. Raises DeviceError."""
+        with self.mapped() as found:
+            return found.copy()
+
+    @contextmanager
+    def mapped(self) -> Iterator[npt.NDArray[Any]]:
+        """Yield the array (n,) in the driver's memory, which must not be read after the block. Raises DeviceError."""
         self.gpu.wait_for(self.promise)
         with library.quiet(f"{self.gpu.name}: reading"):
-            found = np.frombuffer(self.staging.read_mapped(copy=True), self.dtype)
+            found = np.frombuffer(self.staging.read_mapped(copy=False), self.dtype)
+        yield found
+        with library.quiet(f"{self.gpu.name}: reading"):
             self.staging.unmap()
         self.gpu.spare.append(self.staging)
-        return found
 
 
 @dataclass(eq=False)

@@ -150,3 +150,15 @@ def test_a_stage_that_a_binding_cannot_hold_is_one_line(gpu: Gpu, monkeypatch: p
     monkeypatch.setattr(gpu, "limits", gpu.limits._replace(binding=40_000))
     with pytest.raises(DeviceError, match=r"the sums of [\d,]+ cells needs a buffer of .*; allowed: .* on llvmpipe"):
         passes.upload(grid, means, means)
+
+
+def test_values_that_are_not_numbers_are_not_read(gpu: Gpu) -> None:
+    grid, passes = bricks(), FitPasses(gpu)
+    grid.values[-1] = np.nan
+    means, seen = (np.zeros((len(grid.places), 2), np.float32) for _ in range(2))
+    passes.upload(grid, means, seen)
+    for array in (grid.values, means, seen):
+        array[:] = 7
+    with pytest.raises(DeviceError, match="the values are not numbers"):
+        passes.read_back(grid, means, seen)
+    assert all((array == 7).all() for array in (grid.values, means, seen))
