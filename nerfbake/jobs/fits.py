@@ -33,6 +33,7 @@ from nerfbake.jobs.steps import SILENT, Steps, Tell
 from nerfbake.jobs.upright import fields_turned_up
 from nerfbake.jobs.world import WorldOptions
 from nerfbake.kernels.arrays import Floats
+from nerfbake.kernels.soundness import all_within
 from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.held_out import HeldOut
 from nerfbake.scene.mesh import Meshes
@@ -62,9 +63,7 @@ Dtype = Literal["float16", "float32"]
 def _tree(field: BrickField, dtype: Dtype | None, held_out: HeldOut | None) -> N3Tree:
     """Return a PlenOctree that stores the held-out pixels. dtype None: float16 if all values fit, else float32."""
     if dtype is None:
-        values = field.values
-        fits = not values.size or max(values.max(), -values.min()) <= LARGEST
-        dtype = "float16" if fits else "float32"
+        dtype = "float16" if all_within(field.values, LARGEST) else "float32"
     return replace(build_n3tree(field, dtype=dtype), held_out=held_out)
 
 

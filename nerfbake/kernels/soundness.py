@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from nerfbake.errors import Problem
+from nerfbake.kernels.parallel import over_chunks
 
 MAX_EDGE = 16384  # pixels along an edge of a picture
 _CHUNK = 1 << 18
@@ -37,8 +38,8 @@ def all_finite(values: npt.NDArray[Any]) -> bool:
     if values.dtype == np.float16:
         # Infinity is 0x7C00 and NaNs are above it; the sign bit adds 0x8000. Ten times as fast as isfinite.
         bits = values.reshape(-1).view(np.uint16)
-        return all(int(part.max()) < 0xFC00 and int(part.view(np.int16).max()) < 0x7C00 for part in _parts(bits))
-    return all(bool(np.isfinite(part).all()) for part in _parts(values.reshape(-1)))
+        return _each(lambda part: part.max() < 0xFC00 and part.view(np.int16).max() < 0x7C00, bits)
+    return _each(lambda part: np.isfinite(part).all(), values.reshape(-1))
 
 
 def all_within(values: npt.NDArray[Any], most: float) -> bool:
@@ -46,8 +47,16 @@ def all_within(values: npt.NDArray[Any], most: float) -> bool:
     if most >= float(np.finfo(values.dtype).max):  # `most` would be cast to float16 and overflow
         return all_finite(values)
     # Both comparisons are False for NaN.
-    return all(bool(-most <= part.min() and part.max() <= most) for part in _parts(values.reshape(-1)))
+    return _each(lambda part: -most <= part.min() and part.max() <= most, values.reshape(-1))
 
 
-def _parts(flat: npt.NDArray[Any]) -> Iterator[npt.NDArray[Any]]:
-    return (flat[start : start + _CHUNK] for start in range(0, len(flat), _CHUNK))
+def _each(holds: Callable[[npt.NDArray[Any]], Any], flat: npt.NDArray[Any]) -> bool:
+    """Return whether something holds for each part of an array."""
+    wrong: list[int] = []
+
+    def look(begin: int, end: int) -> None:
+        if not wrong and not holds(flat[begin:end]):
+            wrong.append(begin)
+
+    over_chunks(look, len(flat), _CHUNK)
+    return not wrong
