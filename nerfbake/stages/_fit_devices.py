@@ -6,9 +6,9 @@ on which of the two it has.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -21,7 +21,7 @@ from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.fit.bricks import ROW, TaskBuffers, new_batch
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
 from nerfbake.kernels.fit.update import LearningRates, take_steps
-from nerfbake.kernels.parallel import cores, prefetched
+from nerfbake.kernels.parallel import in_order, prefetched
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 TASKS = 16  # tasks that share a view's pixels; more would not be faster on 16 cores, and would need more memory
 _STEADY = 8  # views whose gains change together on a graphics device
-_MAKERS = 8  # most threads that prepare pictures for a graphics device
+_AHEAD = 8  # most pictures that are prepared for a graphics device at once
 
 
 class Look(NamedTuple):
@@ -253,32 +253,30 @@ def _uploaded(passes: fit.FitPasses, views: Views, looks: Iterator[Look]) -> Ite
     """Yield the pixels of each look on the device, or None if it has none; the next ones are made in the background."""
     held: dict[Any, UploadedView | None] = {}
     bent: dict[Any, Buffer] = {}
-    coming = list[tuple[Look, Any, Future[UsedPixels] | None]]()
-    promised, scale, next_scale = set[Any](), 0, 0
-    makers = ThreadPoolExecutor(min(cores(), _MAKERS), thread_name_prefix="nerfbake")
-    try:
-        while True:
-            for look in islice(looks, 2 * _MAKERS - len(coming)):
-                if look.scale != next_scale:  # pictures of the scale before are not needed again
-                    promised, next_scale = set(), look.scale
-                bends = views.cameras.cameras[look.view].bends
-                key = look.view, look.scale, look.ring, look.samples if bends else 0
-                made = None
-                if key not in promised:
-                    made = makers.submit(used_pixels, views, look.view, look.scale, look.ring)
-                    promised.add(key)
-                coming.append((look, key, made))
-            if not coming:
-                return
-            look, key, made = coming.pop(0)
-            if look.scale != scale:
-                held, scale = {}, look.scale
-            if made is not None:
-                held[key] = _upload(passes, views, made.result(), look.samples, bent)
-            found = held[key]
-            yield None if found is None else found._replace(tilt=look.tilt)
-    finally:
-        makers.shutdown(wait=True, cancel_futures=True)
+    scale = 0
+    for look, key, made in in_order(_reductions(views, looks), most=_AHEAD):
+        if look.scale != scale:
+            held, scale = {}, look.scale
+        if made is not None:
+            held[key] = _upload(passes, views, made, look.samples, bent)
+        found = held[key]
+        yield None if found is None else found._replace(tilt=look.tilt)
+
+
+def _reductions(views: Views, looks: Iterator[Look]) -> Iterator[Callable[[], tuple[Look, Any, UsedPixels | None]]]:
+    """Yield the work of each look: it returns the look, a key of its pixels, and the pixels if they are new."""
+    known, scale = set[Any](), 0
+    for look in looks:
+        if look.scale != scale:  # pictures of the scale before are not needed again
+            known, scale = set(), look.scale
+        bends = views.cameras.cameras[look.view].bends
+        key = look.view, look.scale, look.ring, look.samples if bends else 0
+        yield partial(_reduced, views, look, key, new=key not in known)
+        known.add(key)
+
+
+def _reduced(views: Views, look: Look, key: Any, *, new: bool) -> tuple[Look, Any, UsedPixels | None]:
+    return look, key, used_pixels(views, look.view, look.scale, look.ring) if new else None
 
 
 def _upload(
