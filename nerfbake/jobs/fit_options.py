@@ -87,8 +87,10 @@ class FitOptions:
             if self.epochs is not None:
                 return parse_schedule(self.epochs)
             if views is not None and views.scenery:
-                sizes = {"resolution": self.resolution or 256, "views": len(views.pictures), "edge": edge}
-                return scenery_schedule(self.preset or PRESET, **sizes, minutes=minutes)
+                pixels = sum(camera.width * camera.height for camera in views.cameras.cameras) / len(views.pictures)
+                sizes = {"views": len(views.pictures), "edge": edge, "pixels": pixels}
+                cells = self.resolution or 256
+                return scenery_schedule(self.preset or PRESET, resolution=cells, **sizes, minutes=minutes)
             if views is not None:
                 request["side"] = views.side()
             if minutes is not None:

@@ -199,6 +199,9 @@ def _stages(epochs: int, resolution: int, samples: int, views: int, edge: int, s
 # Epochs of the stages of R / 8, R / 4 and R / 2 cells, and of the stages in which some cells are split.
 SCENERY_PRESETS = {"fast": (3, 2, 2, (1,)), "balanced": (3, 2, 3, (2, 1)), "best": (3, 3, 4, (3, 3, 3))}
 _SCENERY_MINUTES = {"fast": 1.0, "balanced": 2.0, "best": 5.0}
+# Pixels of a picture of 4:3 with 1.5 times as many pixels along the shorter edge as a cube has cells, by cells^2. In
+# larger ones, fewer epochs are as good (docs/tuning.md).
+_SCENERY_PIXELS = 3.0
 
 
 def scenery_scale(edge: int, cells: int) -> int:
@@ -207,13 +210,20 @@ def scenery_scale(edge: int, cells: int) -> int:
 
 
 def scenery_schedule(
-    name: str = "balanced", *, resolution: int = 256, views: int = VIEWS, edge: int = 512, minutes: float | None = None
+    name: str = "balanced",
+    *,
+    resolution: int = 256,
+    views: int = VIEWS,
+    edge: int = 512,
+    pixels: float = 0.0,
+    minutes: float | None = None,
 ) -> Schedule:
     """A preset's stages for pictures with scenery; `resolution` is that of the smallest cells in the inner cube.
 
     views: as in preset_schedule(). edge: the pictures' shorter edge in pixels; each stage scales them so that it has
-    about 1.5 times as many pixels as the inner cube has cells. minutes: select the stages for this time instead of the
-    preset.
+    about 1.5 times as many pixels as the inner cube has cells. pixels: of a picture, on average; a stage with more than
+    a picture of 4:3 has with 1.5 times as many as cells has fewer epochs. minutes: select the stages for this time
+    instead of the preset.
     """
     if name not in SCENERY_PRESETS:
         raise InvalidScene(Problem("preset", f"is {name!r}", ", ".join(SCENERY_PRESETS)))
@@ -224,24 +234,26 @@ def scenery_schedule(
         name = [preset for preset, least in _SCENERY_MINUTES.items() if least <= max(minutes, 1)][-1]
         factor = minutes / _SCENERY_MINUTES[name]
 
-    def times(epochs: int) -> int:
-        return max(1, min(round(factor * epochs * VIEWS / views), MAX_EPOCHS))
-
     def scale(cells: int) -> int:
         return min(scenery_scale(edge, cells), MAX_SCALE)
+
+    def times(epochs: int, cells: int) -> int:
+        share = min(1.0, _SCENERY_PIXELS * (cells * scale(cells)) ** 2 / max(pixels, 1))
+        return max(1, min(round(factor * epochs * VIEWS / views * share), MAX_EPOCHS))
 
     half = max(resolution // 2, 32)
     first, second, third, last = SCENERY_PRESETS[name]
     density, colour = (0.025, 0.015), (0.5, 0.3)
     made = [
-        Stage(max(half // 4, 32), scale(half // 4), times(first), (0.03, 0.015), colour, prune=0.03),
-        Stage(max(half // 2, 32), scale(half // 2), times(second), density, colour, prune=0.03),
-        Stage(half, scale(half), times(third), density, colour, prune=0.03),
+        Stage(max(half // 4, 32), scale(half // 4), times(first, half // 4), (0.03, 0.015), colour, prune=0.03),
+        Stage(max(half // 2, 32), scale(half // 2), times(second, half // 2), density, colour, prune=0.03),
+        Stage(half, scale(half), times(third, half), density, colour, prune=0.03),
     ]
     for number, epochs in enumerate(last):
         end = number == len(last) - 1
         rates = ((0.025, 0.01), (0.5, 0.2)) if end else (density, colour)
-        made.append(Stage(half, scale(2 * half), times(epochs), *rates, split=0.06 if number else 0.2, prune=0.02))
+        split = 0.06 if number else 0.2
+        made.append(Stage(half, scale(2 * half), times(epochs, 2 * half), *rates, split=split, prune=0.02))
     return Schedule(made)
 
 

@@ -15,6 +15,7 @@ from nerfbake.cli.main import run
 from nerfbake.errors import InvalidFile, UsageError
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.n3tree import N3Tree
+from nerfbake.scene.views import Views
 from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 from tests.support.brick_fields import some_shelled_field
 from tests.support.rooms import write_room
@@ -51,6 +52,15 @@ def test_photographs_alone_become_a_scene(tmp_path: Path, capfd: pytest.CaptureF
     ):
         jobs.fit_file(str(room), str(tmp_path / "a.svo.pb"), options=jobs.FitOptions(epochs=SHORT))
     assert not (tmp_path / "a.svo.pb").exists()
+
+
+def test_wider_pictures_with_scenery_are_used_less_often() -> None:
+    def epochs(width: int, height: int) -> list[int]:
+        camera, picture = Camera(width, height, 64.0, np.eye(4), "a"), np.full((height, width, 4), 255, np.uint8)
+        views = Views(Cameras((camera, camera)), (picture, picture), (1.0, 1.0, 1.0), False, scenery=True)
+        return [stage.epochs for stage in jobs.FitOptions(preset="fast", resolution=64).schedule(views)]
+
+    assert epochs(128, 96) == epochs(96, 96) == [2 * each for each in epochs(256, 96)] == [150, 100, 100, 50]
 
 
 def test_a_folder_without_pictures_and_cameras_is_refused_as_before(tmp_path: Path) -> None:

@@ -144,3 +144,13 @@ def test_pictures_with_scenery_are_as_large_as_the_last_stage_needs(
     again = scenery_schedule(name, resolution=resolution, edge=edge // factor)
     assert scenery_scale(edge, parse_schedule(str(again)).finest) == factor
     assert again[-1].scale == 1
+
+
+@pytest.mark.parametrize("name", SCENERY_PRESETS)
+def test_larger_pictures_with_scenery_are_used_less_often(name: str) -> None:
+    def epochs(pixels: float) -> list[int]:
+        return [stage.epochs for stage in scenery_schedule(name, views=10, edge=384, pixels=pixels)]
+
+    assert epochs(0) == epochs(200 * 200) == epochs(384 * 512) == [10 * each for each in epochs(10 * 384 * 512)]
+    assert epochs(0) == [2 * each for each in epochs(2 * 384 * 512)]
+    assert set(epochs(1e12)) == {1}
