@@ -496,6 +496,5 @@ def format_of_content(path: str, view: memoryview, *wanted: str) -> Format:
         raise InvalidFile(f"is a file of {unread[0]}, which is not read; allowed: {unread[1]}")
     if load_videos().container_of(bytes(view[:16])):
         raise InvalidFile("is a video; allowed: a folder of its frames, which `nerfbake frames` makes")
-    start = bytes(view[:8]).hex(" ") or "nothing"
-    endings = ", ".join(dict.fromkeys(form.suffix for form in known))
+    start, endings = bytes(view[:8]).hex(" ") or "nothing", ", ".join(dict.fromkeys(form.suffix for form in known))
     raise InvalidFile(f"starts with {start}, which is no known format; allowed: {endings}")

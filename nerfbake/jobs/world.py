@@ -141,7 +141,7 @@ def _by_positions(
     """Return the world of the positions in the photographs. asked=False: None if they are few or rough."""
     from nerfbake.stages.frames import LEAST, frame_to_positions, local_positions
 
-    places = [each and each.place for each in metadata]
+    places = [None if each is None else each.place for each in metadata]
     kept = [i for i, place in enumerate(places) if place is not None]
     if len(kept) < (LEAST if asked else _SURE):
         if asked:
@@ -173,7 +173,7 @@ def _by_gravity(
     """Return the world that is upright by the cameras' sensors; None if few photographs have gravity, or disagree."""
     from nerfbake.stages.frames import LEAST, frame_of_gravity
 
-    ups = [each and each.up for each in metadata]
+    ups = [None if each is None else each.up for each in metadata]
     kept = [i for i, up in enumerate(ups) if up is not None]
     if len(kept) < LEAST:
         return None
