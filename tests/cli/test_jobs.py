@@ -173,7 +173,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     jobs.write_sample_stage1(folder / "in", resolution=32)
     jobs.write_sample_capture(folder / "photographs", frames=10, edge=32)
     jobs.bake_atlas_folder(str(folder / "in"), folder / "baked", clusters=3, map_size=8)
-    write_video(folder / "a.mkv", np.random.default_rng(0).random((5, 16, 16, 3)))
+    write_video(folder / "a.mkv", list(np.random.default_rng(0).random((5, 16, 16, 3))))
     write_room(folder / "poses-command")
     shutil.copytree(folder / "poses-command", folder / "poses-job")
     return folder

@@ -102,7 +102,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     jobs.bake_atlas_folder(folder / "in", folder / "baked", clusters=3, map_size=8)
     jobs.write_sample_capture(folder / "photographs", frames=10, edge=32)
     write_room(folder / "room")
-    write_video(folder / "a.mkv", np.random.default_rng(0).random((5, 16, 16, 3)))
+    write_video(folder / "a.mkv", list(np.random.default_rng(0).random((5, 16, 16, 3))))
     return folder
 
 

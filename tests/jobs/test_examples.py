@@ -25,7 +25,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     jobs.write_sample_stage1(folder / "mesh_stage1", resolution=32)
     jobs.write_sample_capture(folder / "photographs", frames=16, edge=32)
     write_room(folder / "room")
-    write_video(folder / "walk.mp4", np.random.default_rng(0).random((60, 16, 16, 3)))
+    write_video(folder / "walk.mp4", list(np.random.default_rng(0).random((60, 16, 16, 3))))
     return folder
 
 

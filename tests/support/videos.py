@@ -45,7 +45,9 @@ def write_video(
         for number, pixels in enumerate(frames):
             frame = av.VideoFrame(stream.width, stream.height, "yuv444p10le")
             for plane, values in zip(frame.planes, _yuv(pixels, matrix, full), strict=True):
-                rows = np.frombuffer(plane, np.uint16).reshape(stream.height, -1)  # longer than the picture is wide
+                rows = np.frombuffer(memoryview(plane), np.uint16).reshape(
+                    stream.height, -1
+                )  # longer than the picture is wide
                 rows[:, : stream.width] = values
             frame.pts = number
             tag(frame)

@@ -134,7 +134,8 @@ def _length(file: IO[bytes], kind: str) -> tuple[int, float]:
     import av
 
     file.seek(0)
-    with av.open(file, format=kind) as container:
+    container: Any = av.open(file, format=kind)
+    with container:
         stream = _stream(container)
         times = [packet.pts for packet in container.demux(stream) if packet.pts is not None and not packet.is_discard]
         span = max(times) - min(times) if times else 0
@@ -174,8 +175,9 @@ def _encoded() -> npt.NDArray[np.uint8]:
 @lru_cache(1)
 def _light_of(curve: int) -> Floats:
     """(65536,) light of each signal of HDR, 1 for reference white."""
-    light = (_light_of_hlg if curve == _HLG else _light_of_pq)(np.arange(65536) / 65535)
-    return light / light[round(65535 * _WHITE[curve])]
+    signal = np.arange(65536) / 65535
+    light = _light_of_hlg(signal) if curve == _HLG else _light_of_pq(signal)
+    return np.asarray(light / light[round(65535 * _WHITE[curve])])
 
 
 def _light_of_hlg(signal: Floats) -> Floats:
