@@ -4,7 +4,8 @@ extrinsic, 4 x 4 world to camera, OpenCV's axes; intrinsic, 3 x 3 in pixels; dep
 
 NAME_cam.txt belongs to the picture NAME. The file has no size. Pictures may have been reduced without the intrinsics,
 so a picture is refused if the principal point is not near its middle.
-Source: three public readers; no real file was checked, and a note says so.
+Source: "Camera Files" in the README of YoYo000/MVSNet, E = [R|t] and K; three public readers agree with it. No real
+file was checked, and a note says so.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _FOLDERS = (*FOLDERS, "blended_images", "rectified")
 _START = re.compile(rb"^(?:\xef\xbb\xbf)?\s*extrinsic\s")
 _MAX_SIZE = 1 << 16
 _OFF = 0.25  # of an edge: how far the principal point may be from the middle
-_UNCHECKED = "warning: files of MVSNet are read by the code of other readers; no real one was checked"
+_UNCHECKED = "warning: files of MVSNet are read by its own description; no real one was checked"
 
 
 def recognise(name: str, head: bytes) -> bool:
