@@ -65,8 +65,10 @@ def parse_distance(text: str) -> KnownDistance:
     first, comma, second = points.partition(",")
     match = _DISTANCE.fullmatch(distance.strip())
     metres = float(match[1]) * _UNITS[match[2] or ""] if match else 0.0
-    if not (first and comma and second and 1e-6 <= metres <= 1e9):
+    if not (first and comma and second):
         raise UsageError(f"`scale` is {text[:60]!r}; allowed: gps, none, or {GRAMMAR}")
+    if not 1e-6 <= metres <= 1e9:
+        raise UsageError(f"the distance of `scale` is {distance[:40]!r}; allowed: 1e-6 to 1e9 m, with m, cm or mm")
     return KnownDistance(_point(first.strip()), _point(second.strip()), metres)
 
 

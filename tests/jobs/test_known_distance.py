@@ -129,9 +129,9 @@ def test_rays_that_are_not_of_one_point_are_refused(capture: Path, cameras: Came
     ("text", "error"),
     [
         ("a:1:2,b=1m", "has one photograph of 'a:1:2'; allowed: two or more"),
-        ("a:1:2+b:3:4,b=1km", "allowed: gps, none, or POINT"),
+        ("a:1:2+b:3:4,b=1km", "the distance of `scale` is '1km'; allowed: 1e-6 to 1e9 m, with m, cm or mm"),
         ("a:1:2+b:3:4=1m", "allowed: gps, none, or POINT"),
-        ("a:1:2+b:3:4,c=0", "allowed: gps, none, or POINT"),
+        ("a:1:2+b:3:4,c=0", "the distance of `scale` is '0'; allowed: "),
     ],
 )
 def test_what_is_no_point_is_refused(text: str, error: str) -> None:
