@@ -26,7 +26,7 @@ ENDS = np.array([[0.1, -0.2, 0.3], [-0.4, 0.1, -0.1]])  # of a ruler
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("known") / "capture"
-    write_sample_capture(folder, frames=6, edge=64)
+    write_sample_capture(folder, frames=6, edge=64, room=True)
     return folder
 
 
