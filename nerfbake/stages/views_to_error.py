@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nerfbake import memory, progress
-from nerfbake.kernels.arrays import Floats
+from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.parallel import in_order
 from nerfbake.kernels.picture.metrics import psnr, ssim
 from nerfbake.scene.image import Image
@@ -85,18 +85,18 @@ def measure_views(
         for i, camera in progress.each(list(enumerate(cameras))):
             camera.require_memory(_PIXEL_BYTES)
             made = shown_by(camera, background=views.background, samples=samples).colour
-            yield partial(_error, views, i, made.astype(np.float64))
+            yield partial(_error, views, i, made)
 
     pixels = max((camera.width * camera.height for camera in cameras), default=1)
     return tuple(in_order(errors(), most=memory.left() // (2 * _PIXEL_BYTES * pixels)))
 
 
-def _error(views: Views, i: int, made: Floats) -> ViewError:
-    """Measure a picture, which is changed where the photograph is not used."""
-    truth, used = views.photograph(i).astype(np.float64), views.used(i)
+def _error(views: Views, i: int, shown: Singles) -> ViewError:
+    """Measure a picture."""
+    made, truth, used = shown.astype(np.float64), views.photograph(i).astype(np.float64), views.used(i)
     made[~used] = truth[~used]
-    shown = used if views.scenery else used & ~views.behind(i)
-    alike = np.where(shown[..., None], made * _gains(made[shown], truth[shown]), made)
+    solid = used if views.scenery else used & ~views.behind(i)
+    alike = np.where(solid[..., None], made * _gains(made[solid], truth[solid]), made)
     raw, corrected = (psnr(each[used], truth[used]) for each in (made, alike))
     return ViewError(views.cameras.cameras[i].name, raw, ssim(made, truth), corrected)
 

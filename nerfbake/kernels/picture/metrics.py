@@ -32,6 +32,7 @@ IDENTICAL = 100.0  # dB for equal pictures: finite, so that a mean over views st
 _LN_10 = 2.302585092994046
 _WINDOW, _SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
+_BAND = 32  # rows of a picture that are compared at a time: at 800x800 in less than half of the time of all rows
 
 
 def psnr(a: Floats, b: Floats) -> float:
@@ -55,13 +56,26 @@ def ssim(a: Floats, b: Floats) -> float:
     window = exp(-0.5 * (x / _SIGMA) ** 2)
     window /= window.sum()
 
+    rows, columns = (edge - size + 1 for edge in a.shape[:2])
+    alike = np.empty((rows, columns, 3))
+    for top in range(0, rows, _BAND):
+        band = slice(top, min(top + _BAND, rows) + size - 1)
+        alike[top : top + _BAND] = _alike(a[band], b[band], window)
+    return float(alike.mean())
+
+
+def _alike(a: Floats, b: Floats, window: Floats) -> Floats:
+    """Return the structural similarity at all positions where the window fits."""
+    size = len(window)
+
     def blur(values: Floats) -> Floats:
         for axis in (0, 1):
             moved = np.moveaxis(values, axis, 0)
             count = len(moved) - size + 1
             total = window[0] * moved[:count]
+            scaled = np.empty_like(total)
             for k in range(1, size):
-                total += window[k] * moved[k : k + count]
+                total += np.multiply(window[k], moved[k : k + count], out=scaled)
             values = np.moveaxis(total, 0, axis)
         return values
 
@@ -70,4 +84,4 @@ def ssim(a: Floats, b: Floats) -> float:
     both = blur(a * b) - mean_a * mean_b
     luminance = (2 * mean_a * mean_b + _C1) / (mean_a**2 + mean_b**2 + _C1)
     structure = (2 * both + _C2) / (var_a + var_b + _C2)
-    return float((luminance * structure).mean())
+    return luminance * structure

@@ -42,3 +42,10 @@ def test_ssim_with_one_window_is_the_formula() -> None:
     expected /= (mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4)
     assert ssim(a, b) == pytest.approx(expected.mean())
     assert ssim(a[:4, :7], b[:4, :7]) < 1
+
+
+def test_ssim_is_the_same_in_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    a = np.random.default_rng(0).random((75, 20, 3))
+    found = ssim(a, a * a)
+    monkeypatch.setattr("nerfbake.kernels.picture.metrics._BAND", 75)
+    assert ssim(a, a * a) == found
