@@ -10,7 +10,7 @@ import numpy as np
 from nerfbake import memory
 from nerfbake.device.fit import Losses
 from nerfbake.errors import DeviceError, InvalidScene, Problem
-from nerfbake.kernels.arrays import Bits, Floats, Ints, Points
+from nerfbake.kernels.arrays import Bits, Floats, Ints, Points, Singles
 from nerfbake.kernels.fit.bricks import round_cells
 from nerfbake.kernels.fit.plan import BrickPlan, divide_plan, double_plan, plan_of_kept
 from nerfbake.kernels.fit.update import LearningRates
@@ -214,9 +214,17 @@ def _most_blamed(state: FitState, keep: Bits, share: float) -> Bits:
     blame = np.where(keep, state.cells.seen[:, 1], np.float32(-1))
     if state.divided:
         blame[state.cells.bricks.places & 1 == 0] = -1
-    chosen = np.zeros(len(keep), bool)
-    chosen[np.argsort(-blame, kind="stable")[: int(share * np.count_nonzero(keep))]] = True
-    return chosen & (blame >= 0)
+    return _largest(blame, int(share * np.count_nonzero(keep))) & (blame >= 0)
+
+
+def _largest(values: Singles, count: int) -> Bits:
+    """Return (n,) bool: the `count` largest values; the first ones of those that are equal."""
+    if not count:
+        return np.zeros(len(values), bool)
+    least = np.partition(values, -count)[-count]  # 4 million take 0.02 s, and 0.8 s to sort
+    chosen = np.asarray(values > least)
+    chosen[np.flatnonzero(values == least)[: count - np.count_nonzero(chosen)]] = True
+    return chosen
 
 
 def _looks(state: FitState, views: int, ring: int | None, tilt: float) -> Iterator[Look]:

@@ -250,3 +250,10 @@ def test_a_state_that_is_none_is_refused() -> None:
     fit = fit_field(sample_views(), schedule=parse_schedule("cells=8"), start=FitState.of_arrays(arrays))
     with pytest.raises(InvalidScene, match="the state's schedule is"):
         next(fit)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 4, 6])
+def test_the_first_of_equal_cells_are_split(count: int) -> None:
+    blame = np.array([2, 5, 2, 0, 2, -1], np.float32)
+    chosen = np.isin(np.arange(6), [1, 0, 2, 4, 3, 5][:count])
+    assert_array_equal(views_to_field._largest(blame, count), chosen)
