@@ -60,14 +60,20 @@ def require_photographs(views: str | None) -> None:
         without_effect("background", "masks", "test", "holdout", here="without --views", allowed=allowed)
 
 
-def rendered_options(condition: str, scene: str) -> tuple[Callable[[Command], Command], ...]:
-    """Return --frames and --edge, the pictures of this scene to render. condition: when they have an effect."""
-    frames = click.option(
+def rendered_options(
+    condition: str, scene: str, *, frames: int | None = 100
+) -> tuple[Callable[[Command], Command], ...]:
+    """Return --frames and --edge, the pictures of this scene to render. condition: when they have an effect.
+
+    frames: how many by default; None: the job decides, see FittedPictures.
+    """
+    default = "" if frames else "  [default: 100; 50 for a mesh of a scene with scenery]"
+    number = click.option(
         "--frames",
         type=click.IntRange(2, 1000),
-        default=100,
-        show_default=True,
-        help=f"{condition}: number of pictures of {scene}.",
+        default=frames,
+        show_default=frames is not None,
+        help=f"{condition}: number of pictures of {scene}.{default}",
     )
     edge = click.option(
         "--edge",
@@ -76,7 +82,7 @@ def rendered_options(condition: str, scene: str) -> tuple[Callable[[Command], Co
         show_default=True,
         help=f"{condition}: width and height of these pictures, in pixels.",
     )
-    return frames, edge
+    return number, edge
 
 
 def _check_pictures(pictures: FittedPictures) -> None:
@@ -99,7 +105,7 @@ def training_picture_options(fitted: str, kind: str) -> Callable[[Command], Comm
             type=PhotographsPath(),
             help=f"{fitted}: {CAPTURE}.  [default: pictures of IN, from all sides]",
         ),
-        *rendered_options("Without --views", "IN to render"),
+        *rendered_options("Without --views", "IN to render", frames=None),
         device_option,
         photograph_options,
         check=_check_pictures,

@@ -12,6 +12,8 @@ from nerfbake.jobs.steps import Steps
 from nerfbake.scene.radiance_field import RadianceField
 from nerfbake.stages.renderers import Renderer
 
+PICTURES = 100  # that are rendered of a scene
+
 
 @dataclass(frozen=True, kw_only=True)
 class FittedPictures:
@@ -19,13 +21,14 @@ class FittedPictures:
 
     views        a capture; None: pictures of the scene, from all sides
     photographs  options for its photographs
-    frames       number of rendered pictures; edge: their width and height in pixels
+    frames       number of rendered pictures; None: 100, or 50 for a mesh of a scene with scenery
+    edge         their width and height in pixels
     device       what renders fields and splats, as in renderer_on()
     """
 
     views: str | None = None
     photographs: PhotographOptions = PhotographOptions()
-    frames: int = 100
+    frames: int | None = None
     edge: int = EDGE
     device: str = DEVICE
 

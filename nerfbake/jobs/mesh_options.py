@@ -10,7 +10,7 @@ from nerfbake.errors import UsageError
 from nerfbake.jobs.budgets import FRAMES
 from nerfbake.jobs.devices import renderer_on
 from nerfbake.jobs.files import Source, axis_option
-from nerfbake.jobs.fitted_pictures import FittedPictures
+from nerfbake.jobs.fitted_pictures import PICTURES, FittedPictures
 from nerfbake.jobs.photographs import SplitViews, render_split
 from nerfbake.jobs.steps import Steps
 from nerfbake.scene.radiance_field import RadianceField
@@ -18,6 +18,7 @@ from nerfbake.scene.splats import Splats
 
 TRIANGLES, TEXTURE = 50_000, 2048
 SAMPLES = 2  # rays along each edge of a pixel: the pixels of photographs are averages, too
+_SCENERY_PICTURES = 50  # two thirds of the time of 100, for 0.07 dB (docs/tuning.md)
 
 Image = Literal["png", "jpeg", "webp"]
 
@@ -26,16 +27,20 @@ Image = Literal["png", "jpeg", "webp"]
 class MeshViews(FittedPictures):
     """The pictures that a mesh is textured from. The arguments are those of FittedPictures."""
 
-    def split(self, steps: Steps, source: Source, field: RadianceField, splats: Splats | None) -> SplitViews:
+    def split(
+        self, steps: Steps, source: Source, field: RadianceField, splats: Splats | None, *, scenery: bool = False
+    ) -> SplitViews:
         """Return the views to fit to and the held-out views. Raises NerfbakeError if they show something else.
 
         splats: those that the field was made of, which are sharper than its voxels; None: it was made of other things.
+        scenery: the field is the inner cube of a scene with scenery.
         """
         shown, render = field if splats is None else splats, renderer_on(self.device, steps=steps)
         if self.views is not None:
             return self.photographs_of(steps, source, field, render)
-        with source.blamed(steps, f"rendering {self.frames + FRAMES} pictures of {source.name}"):
-            return render_split(shown, frames=self.frames, edge=self.edge, samples=SAMPLES, framed=field, render=render)
+        frames = self.frames or (_SCENERY_PICTURES if scenery else PICTURES)
+        with source.blamed(steps, f"rendering {frames + FRAMES} pictures of {source.name}"):
+            return render_split(shown, frames=frames, edge=self.edge, samples=SAMPLES, framed=field, render=render)
 
 
 @dataclass(frozen=True, kw_only=True)

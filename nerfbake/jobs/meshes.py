@@ -166,11 +166,11 @@ def bake_mesh(
                 "allowed: an OUT with an extension, `in_up`, `lit`, `image` and `min_psnr`"
             )
         return _flat(steps, source, place, reading.scene, pictures.edge, format_options, min_psnr, report)
-    reading.use_inner_cube()
+    scenery = reading.use_inner_cube()
     field = reading.field(visible="no surface")
     splats = reading.shown if isinstance(reading.shown, Splats) else None
     del reading
-    split = pictures.split(steps, source, field, splats)
+    split = pictures.split(steps, source, field, splats, scenery=scenery)
     del splats
     clock = Clock()
     scene = build_mesh(steps, source, field, split.training, place, options)

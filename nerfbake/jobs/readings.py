@@ -141,17 +141,21 @@ class Reading:
         """The pixels of photographs that a fitted PlenOctree stores."""
         return self.scene.held_out if isinstance(self.scene, N3Tree) else self._held_out
 
-    def use_inner_cube(self, *, keep: bool = False) -> None:
-        """Use the inner cube of a scene with scenery alone, and print that. keep: keep the whole scene as `scenery`."""
+    def use_inner_cube(self, *, keep: bool = False) -> bool:
+        """Use the inner cube of a scene with scenery alone, and print that. Return whether the scene has scenery.
+
+        keep: keep the whole scene as `scenery`.
+        """
         self.bake()
         if not isinstance(self.scene, N3Tree) or self.scene.shells == 1:
-            return
+            return False
         with self._source.blamed(self._steps, "reading the inner cube"):
             inner = self.scene.inner_cube()
         rest = "shows the scenery around it as walls" if keep else "leaves out the scenery around it"
         self._steps.say(f"{self._source.name}: uses the inner cube of {inner.resolution}^3 and {rest}")
         self.scenery = self.scene if keep else None
         self.scene = self.shown = inner
+        return True
 
     def tell_scenery(self) -> None:
         """Print that the scenery is used, of a scene that has it."""

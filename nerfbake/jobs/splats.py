@@ -24,7 +24,7 @@ from nerfbake.jobs.files import (
     read_back_as,
 )
 from nerfbake.jobs.fit_state import Clock, interrupts, kept_as_partial, write_partial, write_partial_folder
-from nerfbake.jobs.fitted_pictures import FittedPictures
+from nerfbake.jobs.fitted_pictures import PICTURES, FittedPictures
 from nerfbake.jobs.function_voxels import FunctionVoxels
 from nerfbake.jobs.photographs import (
     MeasuredViews,
@@ -64,7 +64,9 @@ class SplatsViews(FittedPictures):
             return self.photographs_of(steps, source, field, render)
         with source.blamed(steps, f"rendering pictures of {source.name}"):
             framed = without_strays(field)
-            return render_split(field, frames=self.frames, edge=self.edge, framed=framed, zoom=_ZOOM, render=render)
+            return render_split(
+                field, frames=self.frames or PICTURES, edge=self.edge, framed=framed, zoom=_ZOOM, render=render
+            )
 
     def split_of(self, steps: Steps, source: Source, splats: Splats, render: Renderer, *, fitted: bool) -> SplitViews:
         """Return the same of splats. fitted: without it, the training views are not needed, and may be any others."""
@@ -74,7 +76,7 @@ class SplatsViews(FittedPictures):
             return split
         with source.blamed(steps, f"rendering pictures of {source.name}"):
             if fitted:
-                return render_split(splats, frames=self.frames, edge=self.edge, zoom=_ZOOM, render=render)
+                return render_split(splats, frames=self.frames or PICTURES, edge=self.edge, zoom=_ZOOM, render=render)
             around = orbit_cameras(splats, frames=FRAMES, width=self.edge, height=self.edge)
             held_out = picture_views(splats, around, 1, render)
             return SplitViews(held_out, held_out)

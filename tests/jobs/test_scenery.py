@@ -12,7 +12,7 @@ import pytest
 
 from nerfbake import build_field, io, jobs, render_field, sample_n3tree, scatter_cameras
 from nerfbake.cli.main import run
-from nerfbake.errors import InvalidFile, UsageError
+from nerfbake.errors import InvalidFile, InvalidScene, UsageError
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.n3tree import N3Tree
 from nerfbake.scene.views import Views
@@ -134,6 +134,24 @@ def test_photographs_with_scenery_show_the_mesh_and_the_splats_alone(shown: Path
     few = jobs.SplatsOptions(splats=1000, epochs=4)
     splats = jobs.bake_splats(field, str(shown / "a.ply"), jobs.SplatsViews(views=photos), options=few)
     assert splats.psnr > 20
+
+
+def test_a_mesh_of_scenery_needs_half_as_many_pictures(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner = tmp_path / "inner.npz"
+    io.save(inner, io.load(scene, N3Tree).inner_cube())
+    asked = []
+
+    def refuse(*_: object, frames: int, **__: object) -> None:
+        asked.append(frames)
+        raise InvalidScene("enough")
+
+    monkeypatch.setattr("nerfbake.jobs.mesh_options.render_split", refuse)
+    for source, views in (scene, jobs.MeshViews()), (scene, jobs.MeshViews(frames=7)), (inner, jobs.MeshViews()):
+        with pytest.raises(InvalidScene, match="enough"):
+            jobs.bake_mesh(str(source), str(tmp_path / "a.glb"), pictures=views)
+    assert asked == [50, 7, 100]
 
 
 @pytest.mark.long
