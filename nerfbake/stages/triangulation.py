@@ -16,9 +16,7 @@ from nerfbake.kernels.maths.affine import inverse, length, rotate
 from nerfbake.kernels.maths.elementary import arctan
 from nerfbake.scene.camera import Camera
 
-_ANGLE = (
-    1.5  # degrees between rays; COLMAP's filter_min_tri_angle. A pixel of 1/50 degree then moves the point by 1.3 %
-)
+_ANGLE = 1.5  # degrees between rays, as COLMAP's filter_min_tri_angle: 1/50 degree then moves the point by 1.3 %
 _MISS = 0.005  # of the picture's longer edge: more is another point, or a wrong pose
 _LEAST_MISS = 2.0  # pixels, for small pictures
 _ROUNDS = 3  # of weights: the distance from each camera changes the point by less than a pixel
