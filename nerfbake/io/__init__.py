@@ -6,6 +6,7 @@ extension .zst, inputs by their first bytes.
 """
 
 from nerfbake.catalog import uncompressed as uncompressed
+from nerfbake.contract import PhotographMetadata as PhotographMetadata
 from nerfbake.io.checkpoints import checkpoint_path as checkpoint_path
 from nerfbake.io.checkpoints import load_checkpoint as load_checkpoint
 from nerfbake.io.checkpoints import remove_checkpoint as remove_checkpoint
@@ -13,7 +14,6 @@ from nerfbake.io.checkpoints import require_checkpoints as require_checkpoints
 from nerfbake.io.checkpoints import save_checkpoint as save_checkpoint
 from nerfbake.io.own_folders import FolderContents as FolderContents
 from nerfbake.io.reading import Loaded as Loaded
-from nerfbake.io.reading import PhotographMetadata as PhotographMetadata
 from nerfbake.io.reading import Truth as Truth
 from nerfbake.io.reading import check as check
 from nerfbake.io.reading import decode_files as decode_files

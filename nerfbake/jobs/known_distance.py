@@ -140,7 +140,8 @@ def frame_by_distance(cameras: Cameras, distance: KnownDistance, size_of: SizeOf
     if found:
         miss, angle = max(each.miss for each in found), min(each.angle for each in found)
         told += f", whose rays miss each other by up to {miss:.2g} px and are {angle:.2g} degrees apart or more"
-    return frame_between(*positions, distance.metres, " and ".join(names)), told
+    first, second = positions
+    return frame_between(first, second, distance.metres, " and ".join(names)), told
 
 
 def _in_pixels(camera: Camera, width: int, height: int) -> Camera:
