@@ -88,9 +88,9 @@ class FitOptions:
                 return parse_schedule(self.epochs)
             if views is not None and views.scenery:
                 pixels = sum(camera.width * camera.height for camera in views.cameras.cameras) / len(views.pictures)
-                sizes = {"views": len(views.pictures), "edge": edge, "pixels": pixels}
-                cells = self.resolution or 256
-                return scenery_schedule(self.preset or PRESET, resolution=cells, **sizes, minutes=minutes)
+                sizes: dict[str, Any] = {"views": len(views.pictures), "edge": edge, "pixels": pixels}
+                sizes["resolution"] = self.resolution or 256
+                return scenery_schedule(self.preset or PRESET, **sizes, minutes=minutes)
             if views is not None:
                 request["side"] = views.side()
             if minutes is not None:
