@@ -29,10 +29,11 @@ from nerfbake.jobs.devices import renderer_with
 from nerfbake.jobs.steps import SILENT
 
 DEVICE = os.environ.get("NERFBAKE_DEVICE", GPU)
-FITS = ["fit", "device", "s, first run", "s, second run", "PSNR dB", "MB"]
+FITS = ["fit", "device", "s, first run", "s, second run", "alone s", "PSNR dB", "MB"]
 RENDERS = ["scene", "device", "pictures", "ms a picture", "pictures a second"]
 NOTES = [
-    "s: whole processes, with reading the photographs and measuring the file.",
+    "s: whole processes, with reading the photographs and measuring the file. alone: CPU seconds of the second run's "
+    "main thread outside of work that it shares with others (benchmarks.alone): more cores do not shorten them.",
     "Pictures are rendered at 800x800 and read back, without a PNG.",
 ]
 
@@ -83,16 +84,19 @@ def _fitted(row: Row, scenes: Scenes, folder: Path) -> list[Any]:
         found = []
         for turn in ("first", "second"):
             with announced(f"{row.name} on {device}, {turn} run"):
-                found.append(_run(("fit", str(source), str(folder / "out.npz"), *row.options, "--device", device)))
+                words = ("fit", str(source), str(folder / "out.npz"), *row.options, "--device", device)
+                found.append(_run(folder / "facts.json", words))
+                alone = json.loads((folder / "facts.json").read_text())["alone"]
     except NerfbakeError as error:
-        return [f"{row.name}: {error.line}", device, None, None, None, None]
+        return [f"{row.name}: {error.line}", device, None, None, None, None, None]
     facts = json.loads(found[1].facts["stdout"])
     seconds = [run.seconds for run in found]
-    return [row.name, facts["device"], *seconds, f"{facts['psnr']:.2f}", facts["bytes"] / 1e6]
+    return [row.name, facts["device"], *seconds, alone, f"{facts['psnr']:.2f}", facts["bytes"] / 1e6]
 
 
-def _run(words: Sequence[str]) -> Result:
-    return measure_process(sys.executable, "-m", "nerfbake", *words, "--json", "-q", "--force", keep=True)
+def _run(facts: Path, words: Sequence[str]) -> Result:
+    run = (sys.executable, "-m", "benchmarks.alone", str(facts), *words)
+    return measure_process(*run, "--json", "-q", "--force", keep=True)
 
 
 def _rendered(shown: tuple[str, str, str], device: str, scenes: Scenes) -> list[Any]:

@@ -43,6 +43,7 @@ def test_small_fits_and_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     fits, pictures = (table["rows"] for table in json.loads(files["gpu.json"])["tables"])
     assert fits[0]["device"] == software()
     assert float(fits[0]["PSNR dB"]) > 15
+    assert 0 < fits[0]["alone s"] < fits[0]["s, second run"]
     assert fits[1]["fit"].startswith("absent: ")
     assert [row["device"] for row in pictures] == [software(), "cpu"] * 2
 
