@@ -100,8 +100,8 @@ class FitOptions:
             raise UsageError(error.what) from None
 
     def rays(self, schedule: Schedule) -> int:
-        """Return the rays along each edge of a pixel with which the held-out views are rendered."""
-        return self.samples if self.epochs is None else schedule[-1].rays
+        """Return the rays along each edge of a pixel, 1 or 2, with which the held-out views are rendered."""
+        return self.samples if self.epochs is None else min(schedule[-1].rays, 2)
 
     def fingerprint(self, schedule: Schedule, views: Views) -> dict[str, str]:
         """Return everything besides the pictures that the output bytes depend on."""

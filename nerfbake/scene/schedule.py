@@ -49,6 +49,7 @@ class Stage(NamedTuple):
 VIEWS = 100  # number of pictures that the presets are made for; if there are fewer, each is used more often
 _BEFORE = (4, 2, 3), (2, 2, 3), (1, 1, 1)  # R / cells, scale and epochs of the stages before any cell is split
 PRESETS = {"fast": 1, "balanced": 4, "best": 8}  # epochs of the stages of R cells with some cells split
+_FINAL = 1.5  # with 3 x 3 rays, the last epoch takes as long as so many with 2 x 2
 _AGAIN = 6  # from this many epochs with split cells on, more cells are split halfway
 # Pictures of this many pixels show cells of 1 / 512 of the box. The first stage has R / 8 cells: fog of R / 4 cells
 # hides twice as much behind it, and some of it never goes away. Before cells are split, more of them are pruned, which
@@ -58,6 +59,7 @@ _LARGE = 600
 _LARGE_BEFORE = (8, 4, 6), (4, 4, 3), (2, 2, 2), (1, 1, 2)
 _COARSE = ((0.3, 0.05), (0.5, 0.2), 0.01), ((0.1, 0.015), (0.5, 0.2), 0.03)  # rates and pruning of the first stages
 _FINE = (0.08, 0.03), (0.5, 0.3)  # rates of those after them
+_UNSEEN = 0.005  # pruning within a stage: only cells that no ray needs
 # Pictures are downscaled by the largest whole factor that leaves an object this many pixels, squared. The chair has
 # 367^2 at 800x800. The time of a fit grows with the pixels, and so does the quality (docs/tuning.md). So small objects
 # keep all of them.
@@ -137,9 +139,9 @@ def preset_schedule(
     """A preset's stages for a lattice of `resolution` cells along an axis, 16 or more; None: resolution_for(edge).
 
     samples: rays along an edge of a pixel. views: number of pictures. A fit takes as many steps for a few views as for
-    a hundred, in about the same time. With samples = 1 the last epoch has single rays, so that pictures with single
-    rays look best. edge: the pictures' shorter edge in pixels. side: the object has side^2 pixels in a picture; from
-    768^2 on, all stages downscale the pictures.
+    a hundred, in about the same time. If there are several epochs with 2 x 2 rays, the last one has 3 x 3. With
+    samples = 1 it has single rays, so that pictures with single rays look best. edge: the pictures' shorter edge in
+    pixels. side: the object has side^2 pixels in a picture; from 768^2 on, all stages downscale the pictures.
     """
     if name not in PRESETS:
         raise InvalidScene(Problem("preset", f"is {name!r}", ", ".join(PRESETS)))
@@ -169,7 +171,8 @@ def schedule_for(
             resolution = 256
     large = resolution >= 512
     before, each = (_SECONDS_BEFORE_LARGE, _SECONDS_A_LARGE_EPOCH) if large else (_SECONDS_BEFORE, _SECONDS_AN_EPOCH)
-    epochs = max(1, min(round((60 * minutes - before) / each), MAX_EPOCHS))
+    number = (60 * minutes - before) / each
+    epochs = max(1, min(round(number if number < 1 + _FINAL else number + 1 - _FINAL), MAX_EPOCHS))
     return _stages(epochs, resolution, samples, views, edge, side)
 
 
@@ -190,10 +193,25 @@ def _stages(epochs: int, resolution: int, samples: int, views: int, edge: int, s
     made.append(Stage(resolution, 1, times(epochs - second), (0.12, 0.02), (1.0, 0.12), 2, first, prune))
     if second:
         made.append(Stage(resolution, 1, times(second), (0.1, 0.02), (0.4, 0.1), 2, again, prune))
+    if samples > 1 and epochs > 1:
+        made[-1:] = _with_final(made[-1], times(1))
     if samples == 1:
         made.append(Stage(resolution, 1, times(1), (0.02, 0.01), (0.2, 0.1), prune=0.02))
     factor = max(1, int(side / _LEAST_SIDE))
     return Schedule(stage._replace(scale=min(factor * stage.scale, MAX_SCALE)) for stage in made)
+
+
+def _with_final(stage: Stage, final: int) -> list[Stage]:
+    """Return a stage as two, of which the second has the last epochs, with 3 x 3 rays."""
+    most = stage.epochs - final
+    if most < 1:
+        return [stage]
+    density, colour = (
+        float(f"{begin * (end / begin) ** (most / stage.epochs):.3g}") for begin, end in (stage.density, stage.colour)
+    )
+    first = stage._replace(epochs=most, density=(stage.density[0], density), colour=(stage.colour[0], colour))
+    last = Stage(stage.cells, 1, final, (density, stage.density[1]), (colour, stage.colour[1]), 3, prune=stage.prune)
+    return [first._replace(prune=_UNSEEN), last]
 
 
 # Epochs of the stages of R / 8, R / 4 and R / 2 cells, and of the stages in which some cells are split.

@@ -49,8 +49,8 @@ _MOST = 0.2
 # In the stages with an object's smallest cells, residuals count less where their mean over neighbouring pixels is above
 # this: a reflection that only few views show, and that coefficients cannot represent, must not change the others.
 _MOST_MEAN = 0.05
-# In all epochs of a stage but the last, the four rays of a pixel are turned to the left and to the right in turn, to
-# (3, 1) eighths of a pixel from its middle: a fit to the same places in each epoch is worse between them.
+# In all epochs but the last, the four rays of a pixel are turned to the one and to the other side, to (3, 1) eighths of
+# a pixel from its middle: a fit to the same places in each epoch is worse between them.
 _TILT = 0.5
 _FEW = 32  # most views with scenery whose depths also decide about finer cells (docs/tuning.md)
 _RING = 1  # width in pixels of the ring around an object that is fitted, too
@@ -128,7 +128,7 @@ def continue_fit(
     point: weight of the loss of each cell's own colour. distortion: of the distortion loss of an object in the stages
     with its smallest cells, for places that are measured in cells. most_mean: the largest mean residual of neighbouring
     pixels that counts in full, in the same stages. tilt: of the rays of a pixel, to one side and to the other, see
-    pinhole_directions(); in the last epoch of a stage they have none. Raises InvalidScene, MemoryLimit.
+    pinhole_directions(); in the last epoch they have none. Raises InvalidScene, MemoryLimit.
     """
     ring = None if views.scenery or views.rough else _RING  # rough masks leave cells outside the object
     state.device.begin(views, _looks(state, len(views.pictures), ring, tilt))
@@ -233,7 +233,8 @@ def _looks(state: FitState, views: int, ring: int | None, tilt: float) -> Iterat
     for number, stage in enumerate(schedule):
         for epoch in range(stage.epochs):
             order, again = _order(seed, number, epoch, views), epoch + 1 < stage.epochs
-            own = 0.0 if not again else -tilt if epoch % 2 else tilt
+            last = number + 1 == len(schedule) and not again
+            own = 0.0 if last else -tilt if epoch % 2 else tilt
             for place in range(views):
                 if (number, epoch, place) >= begin:
                     yield Look(int(order[place]), stage.scale, stage.rays, ring, again, own)

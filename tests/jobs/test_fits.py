@@ -203,13 +203,19 @@ def test_the_preset_best_has_another_band(trainer: FakeFit, capture: Path, optio
     assert trainer.asked[0]["basis"] == basis
 
 
+def test_a_preset_and_its_printed_schedule_are_measured_with_the_same_rays() -> None:
+    schedule = FitOptions().schedule()
+    assert schedule[-1].rays == 3
+    assert FitOptions().rays(schedule) == FitOptions(epochs=str(schedule)).rays(schedule) == 2
+
+
 @pytest.mark.usefixtures("trainer")
 def test_progress_tells_where_it_is_and_how_near(capture: Path, listener: Listener) -> None:
     fitted = fit_file(capture, "a.npz", steps=listener)
     shares, details = zip(*(each for each in listener.shares if each[1]), strict=True)  # not those of judging
     assert list(shares) == sorted(shares)
     assert 0 < shares[0] < shares[-1] == pytest.approx(1)
-    assert details[0] == "stage 1 of 4, 16^3, 7 voxels"
+    assert details[0] == "stage 1 of 5, 16^3, 7 voxels"
     seen = fitted.curve[-1].psnr
     assert details[-1].endswith(f"^3, 7 voxels, {seen:.2f} dB on 4 of 4 held-out views")
 

@@ -32,21 +32,30 @@ def test_a_schedule_reads_as_it_is_written() -> None:
 def test_every_preset_is_a_schedule(name: str, resolution: int, samples: int) -> None:
     schedule = preset_schedule(name, resolution=resolution, samples=samples)
     assert schedule.resolution == resolution
-    assert schedule[-1].rays == samples
+    assert schedule[-1].rays == (3 if samples == 2 and name != "fast" else samples)
     assert parse_schedule(str(schedule)) == schedule
 
 
 def test_long_schedules_divide_cells_twice() -> None:
     shares = {name: [stage.split for stage in preset_schedule(name)] for name in PRESETS}
-    assert shares == {"fast": [0, 0, 0, 0.1], "balanced": [0, 0, 0, 0.1], "best": [0, 0, 0, 0.1, 0.1]}
+    assert shares == {"fast": [0, 0, 0, 0.1], "balanced": [0, 0, 0, 0.1, 0], "best": [0, 0, 0, 0.1, 0.1, 0]}
     assert [preset_schedule(name).epochs for name in PRESETS] == [8, 11, 15]
+
+
+def test_the_last_epoch_has_more_rays_and_the_rates_go_on() -> None:
+    *_, first, last = preset_schedule("balanced")
+    assert [(stage.epochs, stage.rays) for stage in (first, last)] == [(3, 2), (1, 3)]
+    assert (first.density[1], first.colour[1]) == (last.density[0], last.colour[0])
+    # A quarter of the way, geometrically.
+    assert last.density[0] / last.density[1] == pytest.approx((first.density[0] / last.density[1]) ** 0.25, rel=0.01)
+    assert preset_schedule("balanced", views=400)[-1].rays == 2
 
 
 def test_cells_are_divided_twice_from_six_epochs_with_split_cells() -> None:
     """Figures of the schedules that `--minutes` selects: five epochs are one stage, six are two of three."""
     found = {}
     for minutes in range(1, 101):
-        last = [stage.epochs for stage in schedule_for(minutes / 10) if stage.split]
+        last = [stage.epochs for stage in schedule_for(minutes / 10, samples=1) if stage.split]
         found[sum(last)] = last
     assert [found[epochs] for epochs in (5, 6, 7)] == [[5], [3, 3], [4, 3]]
 
@@ -54,7 +63,7 @@ def test_cells_are_divided_twice_from_six_epochs_with_split_cells() -> None:
 def test_large_pictures_have_finer_cells_and_coarse_stages_of_the_same_size() -> None:
     assert preset_schedule(edge=599) == preset_schedule()
     small, large = preset_schedule("best"), preset_schedule("best", edge=800)
-    assert [stage.cells for stage in small] == [64, 128, 256, 256, 256]
+    assert [stage.cells for stage in small] == [64, 128, 256, 256, 256, 256]
     assert [(stage.cells, stage.scale, stage.split) for stage in large] == [
         (64, 4, 0),
         (128, 4, 0),
@@ -62,12 +71,13 @@ def test_large_pictures_have_finer_cells_and_coarse_stages_of_the_same_size() ->
         (512, 1, 0),
         (512, 1, 0.12),
         (512, 1, 0.05),
+        (512, 1, 0),
     ]
     last = {name: preset_schedule(name, edge=800)[4:] for name in PRESETS}
     assert {name: [(stage.epochs, stage.split) for stage in stages] for name, stages in last.items()} == {
         "fast": [(1, 0.04)],
-        "balanced": [(4, 0.12)],
-        "best": [(4, 0.12), (4, 0.05)],
+        "balanced": [(3, 0.12), (1, 0)],
+        "best": [(4, 0.12), (3, 0.05), (1, 0)],
     }
     assert [preset_schedule(name, edge=800)[3].epochs for name in PRESETS] == [1, 2, 2]
     assert preset_schedule("best", edge=800, resolution=256).resolution == 256
@@ -78,7 +88,7 @@ def test_pictures_of_a_large_object_are_downscaled_in_all_stages() -> None:
     assert whole == preset_schedule("fast", edge=800)
     assert [stage.scale for stage in whole] == [4, 4, 2, 1, 1]
     assert [stage.scale for stage in preset_schedule("fast", edge=800, side=768)] == [8, 8, 4, 2, 2]
-    assert [stage.scale for stage in schedule_for(3, edge=800, side=1152)] == [12, 12, 6, 3, 3]
+    assert [stage.scale for stage in schedule_for(3, edge=800, side=1152)] == [12, 12, 6, 3, 3, 3]
     assert preset_schedule("fast", edge=800, side=4096)[0].scale == 16
 
 

@@ -144,7 +144,7 @@ def test_a_fit_goes_on_from_any_view_to_the_same_bytes() -> None:
         assert same(rest[-1].field(), whole), turn
 
 
-def test_rays_are_tilted_in_all_epochs_of_a_stage_but_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rays_are_tilted_in_all_epochs_but_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[Look] = []
     begin = CpuFit.begin
 
@@ -154,9 +154,9 @@ def test_rays_are_tilted_in_all_epochs_of_a_stage_but_the_last(monkeypatch: pyte
 
     monkeypatch.setattr(CpuFit, "begin", noted)
     views = sample_views()
-    state = last(views, parse_schedule("cells=8,epochs=1/cells=16,epochs=4,rays=2"))
+    state = last(views, parse_schedule("cells=8,epochs=1/cells=16,epochs=3,rays=2/cells=16,rays=3"))
     count = len(views.pictures)
-    assert [look.tilt for look in found] == np.repeat([0, 0.5, -0.5, 0.5, 0], count).tolist()
+    assert [look.tilt for look in found] == np.repeat([0.5, 0.5, -0.5, 0.5, 0], count).tolist()
     list(refit_bricks(state.field(), views, epochs=2))
     assert [look.tilt for look in found] == [0] * (2 * count)
 
