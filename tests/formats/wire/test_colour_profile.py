@@ -30,20 +30,21 @@ def file(colours: object, kind: str, profile: bytes | None) -> memoryview:
     return memoryview(made.getvalue())
 
 
-def expected(colours: Floats, colorants: object, curve: tuple[float, ...]) -> Floats:
-    """The colours in sRGB by the formulas, 0 to 255."""
+def expected(colorants: object, curve: tuple[float, ...]) -> Floats:
+    """COLOURS in sRGB by the formulas, 0 to 255."""
     power, a, b, c, d = curve
-    x = colours / 255
+    x = COLOURS / 255
     linear = np.where(x >= d, (a * x + b) ** power, c * x) @ np.array(colorants) @ np.linalg.inv(np.array(SRGB))
     linear = np.clip(linear, 0, 1)
-    return 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    encoded: Floats = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return 255 * encoded
 
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "HEIF"])
 @pytest.mark.parametrize(("profile", "space"), [(P3, (DISPLAY_P3, SRGB_CURVE)), (ADOBE, (ADOBE_RGB, GAMMA))])
 def test_a_phones_colours_become_srgb(kind: str, profile: bytes, space: tuple[object, tuple[float, ...]]) -> None:
     found = decode_photograph(file(COLOURS, kind, profile))[4, 4::8]
-    assert np.abs(found[:, :3] - expected(COLOURS, *space)).max() <= (1 if kind == "PNG" else 3)
+    assert np.abs(found[:, :3] - expected(*space)).max() <= (1 if kind == "PNG" else 3)
     assert np.abs(found[0, :3].astype(int) - COLOURS[0]).max() >= 10
     assert (found[:, 3] == 255).all()
 
