@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,8 +50,8 @@ def ruler(capture: Path, *frames: int, ends: Floats = ENDS) -> str:
     return ",".join("+".join(pixel(meta["frames"][i], meta, end) for i in frames) for end in ends)
 
 
-def moved_by(cameras: Cameras, scale: str, photographs: list[Path | None] | None = None) -> MovedWorld:
-    moved = find_world(Listener(), "in", cameras, WorldOptions(scale=scale), photographs or [])
+def moved_by(cameras: Cameras, scale: str, photographs: Sequence[Path | None] = ()) -> MovedWorld:
+    moved = find_world(Listener(), "in", cameras, WorldOptions(scale=scale), photographs)
     assert moved is not None
     return moved
 

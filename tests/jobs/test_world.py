@@ -75,7 +75,7 @@ def test_damaged_places_are_none(tmp_path: Path) -> None:
 def test_each_photograph_is_read_once(cameras: Cameras, tmp_path: Path) -> None:
     up = np.array([0.48, -0.6, 0.64])
     photographs: list[Path | None] = [write_upright(tmp_path / c.name, c.pose, up) for c in cameras.cameras]
-    found = []
+    found: list[Path | None] = []
 
     def read(path: Path) -> PhotographMetadata:
         found.append(path)
