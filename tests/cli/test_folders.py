@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 
 from nerfbake.cli import main
@@ -20,11 +21,13 @@ from nerfbake.jobs import bake_mesh, bake_splats, refit_file
 from nerfbake.jobs.files import FolderTarget
 from nerfbake.jobs.shaders import CONTENTS
 from tests.conftest import REPOSITORY
+from tests.support.videos import write_video
 
 LOADED = bake_mesh, bake_splats, refit_file  # before EDGE changes, the default of their options
 # Each command that replaces a folder as a whole, with IN, OUT and options that make it quick.
 REPLACE = {
     "atlas": "atlas {stage1} {out} --clusters 4 --map-size 8 --directions 8",
+    "frames": "frames {video} {out} --count 2",
     "lattice": "lattice {tree} {out} --rounds 1",
     "mesh": "mesh {tree} {out} --frames 2 --edge 8 --triangles 20 --texture 16",
     "sample nerf2mesh": "sample nerf2mesh {out} --resolution 16",
@@ -65,6 +68,7 @@ def place(tmp_path: Path, tree_file: Path, sample: Path, monkeypatch: pytest.Mon
     work.mkdir()
     tree_file.rename(work / "a.npz")
     (work / "thesis.tex").write_text("precious")
+    write_video(work / "a.mkv", [np.full((16, 16, 3), 0.5)] * 4)
     (work / "stage1").mkdir()
     for file in (sample / "in").iterdir():
         (work / "stage1" / file.name).hardlink_to(file)
@@ -79,7 +83,7 @@ def place(tmp_path: Path, tree_file: Path, sample: Path, monkeypatch: pytest.Mon
 
 
 def line(command: str, out: str, *more: str) -> list[str]:
-    return [*REPLACE[command].format(tree="a.npz", stage1="stage1", out=out).split(), *more, "-q"]
+    return [*REPLACE[command].format(tree="a.npz", stage1="stage1", video="a.mkv", out=out).split(), *more, "-q"]
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,17 +17,23 @@ SDR, HLG, PQ = 1, 18, 16  # transfer characteristics
 _WEIGHTS = {BT601: (0.299, 0.114), BT709: (0.2126, 0.0722), BT2020: (0.2627, 0.0593)}  # of red and blue
 
 
-def write_video(
-    path: Path,
+def write_video(path: Path, frames: Sequence[npt.NDArray[np.floating]], **options: Any) -> Path:
+    """Write what video_of() returns."""
+    path.write_bytes(video_of(frames, path.suffix, **options))
+    return path
+
+
+def video_of(
     frames: Sequence[npt.NDArray[np.floating]],
+    ending: str,
     *,
     matrix: int = BT709,
     curve: int = SDR,
     full: bool = False,
     turned: int = 0,
     rate: int = 25,
-) -> Path:
-    """Write frames, (H, W, 3) in 0 to 1 as they are stored, as YUV of full resolution and 10 bits, without loss.
+) -> bytes:
+    """Encode frames, (H, W, 3) in 0 to 1 as they are stored, as YUV of full resolution and 10 bits, without loss.
 
     turned: quarter turns against the clock that a player has to make; of an .mp4. rate: frames a second.
     """
@@ -35,27 +42,24 @@ def write_video(
         owner.colorspace, owner.color_range = matrix, 2 if full else 1
         owner.color_trc, owner.color_primaries = curve, matrix
 
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffv1" if path.suffix == ".mkv" else "libx264", rate=rate)
+    file = io.BytesIO()
+    with av.open(file, "w", format={".mkv": "matroska"}.get(ending, ending[1:])) as container:
+        stream = container.add_stream("ffv1" if ending == ".mkv" else "libx264", rate=rate)
         stream.pix_fmt = "yuv444p10le"
-        if path.suffix != ".mkv":
+        if ending != ".mkv":
             stream.options = {"qp": "0"}
         stream.height, stream.width = frames[0].shape[:2]
         tag(stream.codec_context)
         for number, pixels in enumerate(frames):
             frame = av.VideoFrame(stream.width, stream.height, "yuv444p10le")
             for plane, values in zip(frame.planes, _yuv(pixels, matrix, full), strict=True):
-                rows = np.frombuffer(memoryview(plane), np.uint16).reshape(
-                    stream.height, -1
-                )  # longer than the picture is wide
+                rows = np.frombuffer(memoryview(plane), np.uint16).reshape(stream.height, -1)  # with a margin
                 rows[:, : stream.width] = values
             frame.pts = number
             tag(frame)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
-    if turned:
-        path.write_bytes(_turned(path.read_bytes(), turned))
-    return path
+    return _turned(file.getvalue(), turned) if turned else file.getvalue()
 
 
 def write_sound(path: Path) -> Path:

@@ -145,7 +145,10 @@ def _length(file: IO[bytes], kind: str) -> tuple[int, float]:
 def _stream(container: Any) -> Any:
     if not container.streams.video:
         raise InvalidFile(Problem("the video", "has no pictures", "1 stream of pictures or more"))
-    return container.streams.video[0]
+    stream = container.streams.video[0]
+    if stream.codec_context is None:
+        raise InvalidFile(Problem("the video", "has an unknown coding", "one that FFmpeg decodes"))
+    return stream
 
 
 @contextmanager

@@ -28,6 +28,7 @@ from nerfbake.formats.wire.blosc import unblosc
 from nerfbake.formats.wire.colour_profile import into_srgb
 from nerfbake.formats.wire.deflate import gunzip, inflate
 from nerfbake.formats.wire.json import parse
+from nerfbake.formats.wire.video import opened_video
 from nerfbake.formats.wire.yaml import parse_map
 from nerfbake.formats.wire.zip_reader import ZipReader
 from nerfbake.formats.wire.zstd import decompress, decompress_exactly
@@ -35,6 +36,7 @@ from tests.rules.test_imports import OWN_LIBRARY
 from tests.support.heic import heic_of
 from tests.support.pngs import chunks_of, png_of_chunks
 from tests.support.profiles import DISPLAY_P3, SRGB_CURVE, profile_of
+from tests.support.videos import video_of
 
 DATA = bytes(range(256)) * 8
 PIXELS = np.random.default_rng(0).integers(0, 256, (12, 16, 3), np.uint8)
@@ -78,11 +80,17 @@ def photographs(view: memoryview) -> None:
             decode()
 
 
+def frames(view: memoryview) -> None:
+    with opened_video(io.BytesIO(view)) as video:
+        for frame in video:
+            frame.pixels()
+
+
 def decoders() -> dict[str, Decoder]:
     size = len(DATA)
     zstd = zstandard.ZstdCompressor(write_checksum=True).compress(DATA)
     shades = (Image.fromarray(PIXELS[::-1].copy()),)
-    frames = picture_as("PNG", save_all=True, append_images=shades, dpi=(72, 72))
+    animation = picture_as("PNG", save_all=True, append_images=shades, dpi=(72, 72))
     exif = Image.Exif()
     exif[0x0112] = 6
     document = bson.encode({"a": 1.5, "b": "text", "c": [1, 2, {"q": None}], "e": 2**40})
@@ -105,12 +113,15 @@ def decoders() -> dict[str, Decoder]:
             (profile_of(DISPLAY_P3, SRGB_CURVE),),
         ),
         "heic": Decoder("formats/wire/heif", photographs, (heic_of(Image.fromarray(PIXELS)),)),
+        "video": Decoder(
+            "formats/wire/video", frames, tuple(video_of([PIXELS / 255] * 2, ending) for ending in (".mp4", ".mkv"))
+        ),
         "pictures": Decoder(
             "formats/wire/picture",
             photographs,
             (
                 picture_as("PNG"),
-                frames,
+                animation,
                 picture_as("JPEG", exif=exif.tobytes()),
                 picture_as("WEBP", lossless=True),
                 picture_as("GIF", save_all=True, append_images=shades),
