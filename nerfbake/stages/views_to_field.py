@@ -52,6 +52,9 @@ _MOST_MEAN = 0.05
 # In all epochs but the last, the four rays of a pixel are turned to the one and to the other side, to (3, 1) eighths of
 # a pixel from its middle: a fit to the same places in each epoch is worse between them.
 _TILT = 0.5
+# The logarithm of a gain loses so much at each visit. Without this, gains move away from the exposures of photographs:
+# the more, the longer a fit takes, and views that were not fitted have no such gains (docs/tuning.md).
+_DRIFT = 0.01
 _FEW = 32  # most views with scenery whose depths also decide about finer cells (docs/tuning.md)
 _RING = 1  # width in pixels of the ring around an object that is fitted, too
 
@@ -275,11 +278,15 @@ def _visit(state: FitState, views: Views, losses: Losses) -> None:
 
 
 def _adapt_gains(state: FitState, view: int, sums: Floats) -> None:
-    """Fit the gains of a view to its colours, and scale those of all views so that their geometric mean is 1."""
+    """Fit the gains of a view to its colours, and scale those of all views so that their geometric mean is 1.
+
+    Those nearer to 1 than _DRIFT are 1, and others are pulled towards it by as much.
+    """
     if not (sums[1:] > 0).all():
         return
     gains = state.gains.copy()
-    gains[view] *= sums[1:4] / sums[4:]
+    wanted = log(gains[view] * sums[1:4] / sums[4:])
+    gains[view] = exp(np.sign(wanted) * np.maximum(np.abs(wanted) - _DRIFT, 0))
     state.gains = np.clip(gains / exp(log(gains).mean(axis=0)), *GAINS)
 
 
