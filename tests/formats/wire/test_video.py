@@ -37,11 +37,11 @@ def to_xyz(space: int) -> npt.NDArray[np.floating]:
     """The matrix of a space's primaries, by its definition: white is the sum of the three."""
     *primaries, white = ((x / y, 1, (1 - x - y) / y) for x, y in _XY[space])
     columns = np.array(primaries).T
-    return columns * np.linalg.solve(columns, white)
+    return np.asarray(columns * np.linalg.solve(columns, white))
 
 
 def linear_of(srgb: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4))
 
 
 @pytest.mark.parametrize("matrix", [BT601, BT709])
@@ -56,13 +56,13 @@ def hlg_of(light: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """BT.2100-2, table 5, for light whose reference white is the 75 % signal."""
     scene = light * (np.exp((0.75 - 0.55991073) / 0.17883277) + 0.28466892) / 12
     upper = 0.17883277 * np.log(np.maximum(12 * scene - 0.28466892, 1e-9)) + 0.55991073
-    return np.where(scene <= 1 / 12, np.sqrt(3 * scene), upper)
+    return np.asarray(np.where(scene <= 1 / 12, np.sqrt(3 * scene), upper))
 
 
 def pq_of(light: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """BT.2100-2, table 4, for light whose reference white is 203 cd/m2, the 58 % signal."""
     power = (light * 203 / 10000) ** 0.1593017578125
-    return ((0.8359375 + 18.8515625 * power) / (1 + 18.6875 * power)) ** 78.84375
+    return np.asarray(((0.8359375 + 18.8515625 * power) / (1 + 18.6875 * power)) ** 78.84375)
 
 
 @pytest.mark.parametrize(("curve", "encoded"), [(HLG, hlg_of), (PQ, pq_of)])
