@@ -141,6 +141,11 @@ def is_heic(head: memoryview) -> bool:
     return bytes(head[4:8]) == _BOX and bytes(head[8:12]) in _HEIC
 
 
+def is_still(head: bytes) -> bool:
+    """Return whether the first bytes of a file are those of a picture that has the boxes of a video."""
+    return head[4:8] == _BOX and (head[8:12] in _HEIC or head[8:12] in _BRANDS)
+
+
 def _content(head: bytes) -> str:
     """Say what a file is that Pillow cannot read, by its first bytes."""
     kind = next((kind for start, kind in _OTHERS.items() if head.startswith(start)), "")

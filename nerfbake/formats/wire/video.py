@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from nerfbake import memory
 from nerfbake.errors import InvalidFile, Problem
+from nerfbake.formats.wire.picture import is_still
 from nerfbake.installation import require_installed
 from nerfbake.kernels.arrays import Floats
 from nerfbake.kernels.maths.affine import rotate
@@ -30,7 +31,6 @@ from nerfbake.kernels.soundness import MAX_EDGE
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame
 
-_STILL = (b"heic", b"heix", b"heim", b"heis", b"mif1", b"avif", b"crx ")  # brands of pictures, not of videos
 _HELD = 24  # frames that FFmpeg may hold: 16 that others refer to, and those that its threads decode
 _MARGIN = 256  # pixels that FFmpeg may add to an edge in memory
 _HLG, _PQ, _BT2020 = 18, 16, 9  # ITU-T H.273, tables 2 and 3
@@ -43,7 +43,7 @@ _TO_709 = np.array(
 
 def container_of(head: bytes) -> str:
     """Return FFmpeg's name of a video's container, by the first bytes of the file; '' if it is no video."""
-    if head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free") and head[8:12] not in _STILL:
+    if head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free") and not is_still(head):
         return "mov"  # QuickTime, MP4
     if head.startswith(b"\x1aE\xdf\xa3"):
         return "matroska"  # also WebM
