@@ -283,7 +283,10 @@ def _locked_part(target: Path, *, folder: bool = False) -> Iterator[Path]:
         part = target.with_name(f".{_stem(target)}.{os.urandom(8).hex()}.{_PART}")
         if folder:
             part.mkdir()
-            handle = os.open(part, os.O_RDONLY)
+            try:
+                handle = os.open(part, os.O_RDONLY)
+            except FileNotFoundError:
+                continue  # another writer's _sweep() removed it before it was locked
         else:
             handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o666)
         try:

@@ -173,7 +173,7 @@ def test_what_another_process_wrote_into_a_folder_is_replaced_with_force_only(tm
 
 
 def test_of_many_writers_of_a_new_folder_one_succeeds(tmp_path: Path) -> None:
-    target, ready, won = tmp_path / "folder", threading.Barrier(8), []
+    target, ready, won = tmp_path / "folder", threading.Barrier(8, timeout=60), []
 
     def work(number: int) -> None:
         with suppress(OutputError):
@@ -302,20 +302,31 @@ def test_where_there_are_no_locks_nothing_is_swept(tmp_path: Path, monkeypatch: 
     assert another.exists()
 
 
-def test_a_part_that_a_sweeper_took_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("moment", ["open", "lock"])
+@pytest.mark.parametrize("folder", [False, True])
+def test_a_part_that_a_sweeper_took_is_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str, folder: bool
+) -> None:
     taken: list[Path] = []
 
-    def swept_once(handle: int) -> bool | None:
-        if not taken:
-            (part,) = tmp_path.iterdir()
-            part.unlink()
+    def sweep() -> None:
+        for part in () if taken else tmp_path.iterdir():
             taken.append(part)
+            part.rmdir() if folder else part.unlink()
+
+    def open_swept(path: Path, *arguments: int, open_it: Callable[..., int] = os.open) -> int:
+        sweep()
+        return open_it(path, *arguments)
+
+    def lock_swept(handle: int) -> bool | None:
+        sweep()
         return lock(handle)
 
-    monkeypatch.setattr(targets, "lock", swept_once)
-    write(tmp_path / "out.bin", b"whole")
-    assert (tmp_path / "out.bin").read_bytes() == b"whole"
-    assert [path.name for path in tmp_path.iterdir()] == ["out.bin"]
+    monkeypatch.setattr(*((targets.os, "open", open_swept) if moment == "open" else (targets, "lock", lock_swept)))
+    target = tmp_path / "out"
+    write_folder(target, b"whole") if folder else write(target, b"whole")
+    assert len(taken) == (folder or moment == "lock")  # a file is made and opened in one step
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_force_keeps_the_mode(tmp_path: Path) -> None:
