@@ -50,6 +50,8 @@ OWN_FAULT = 70  # sysexits.h calls it EX_SOFTWARE
 _SUMMARY = 50  # characters of a command's summary: a longer one would be cut at 80 columns
 _REPEAT_AFTER = 0.01  # seconds: by then the finalizer that dropped a signal has returned
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
+# malloc.h of the GNU C library: the free bytes at the end of its heap, and of a block, from which it returns them.
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = (-1, 16 << 20), (-3, 8 << 20)
 
 
 GROUPS = {
@@ -117,6 +119,7 @@ for commands in GROUPS.values():
 def main() -> NoReturn:
     """Run the command line and exit."""
     _reserve_standard_streams()
+    _give_memory_back()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # file names may not fit the terminal's encoding
@@ -186,6 +189,17 @@ def _reserve_standard_streams() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor
+
+
+def _give_memory_back() -> None:
+    """With the GNU C library: return the memory of large arrays when they are freed.
+
+    By default, the library keeps up to 64 MiB of it once it has freed such arrays, beyond --max-memory.
+    """
+    if sys.platform == "linux":
+        with suppress(AttributeError):  # musl has no such function
+            for option, size in (_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD):
+                ctypes.CDLL(None).mallopt(option, size)
 
 
 def _exit_with_batch(batch: str) -> None:
