@@ -207,6 +207,13 @@ class FitPasses:
                 corners = more[2].reshape(-1, 4)
                 bricks.corners.raw[:], bricks.corners.mean[:] = corners[:, 0], corners[:, 1]
 
+    def write(self, bricks: BrickGrid) -> None:
+        """Copy the values of the cells of upload() to the device again."""
+        cells = self._held()
+        D = 3 * cells.B + 1
+        for begin, end, own in cells.parts:
+            self.gpu.write(own["values"], bricks.values[D * int(bricks.first[begin]) : D * int(bricks.first[end])])
+
     def _require_numbers(self, array: npt.NDArray[Any]) -> None:
         def look(begin: int, end: int) -> None:
             if not np.isfinite(array[begin:end]).all():

@@ -20,6 +20,7 @@ from nerfbake.device.fit import Losses, UploadedView
 from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.fit.bricks import ROW, TaskBuffers, new_batch
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
+from nerfbake.kernels.fit.ties import Ties, tie_coefficients, tie_densities
 from nerfbake.kernels.fit.update import LearningRates, take_steps
 from nerfbake.kernels.parallel import in_order, prefetched
 from nerfbake.scene.camera import Camera
@@ -73,6 +74,7 @@ class FitDevice(Protocol):
     measure    returns the mean squared error of each view
     rest       is called where a fit may be measured or stored: frees memory that only visits need
     read_back  makes the arrays of the cells current. After an error they are as they were before
+    tie        pulls the values of the cells once towards those of their neighbours; interpolated densities stay
     """
 
     def begin(self, views: Views, looks: Iterator[Look]) -> None: ...
@@ -86,6 +88,8 @@ class FitDevice(Protocol):
     def rest(self) -> None: ...
 
     def read_back(self, cells: BrickCells) -> None: ...
+
+    def tie(self, cells: BrickCells, ties: Ties) -> None: ...
 
 
 def fit_device(gpu: Gpu | None) -> FitDevice:
@@ -135,6 +139,13 @@ class CpuFit:
 
     def read_back(self, cells: BrickCells) -> None:
         pass
+
+    def tie(self, cells: BrickCells, ties: Ties) -> None:
+        if ties.coefficients is not None:
+            memory.require(f"tying {cells.n:,} cells", cells.bricks.values.nbytes)
+            tie_coefficients(cells.bricks, cells.means, ties.coefficients)
+        if not cells.bricks.smooth:
+            tie_densities(cells.bricks, cells.means, ties.density, ties.edge)
 
     def _visit(self, cells: BrickCells, looks: RayTargets, visit: Visit) -> Floats:
         if visit.fresh:
@@ -242,6 +253,12 @@ class GpuFit:
         if self._cells is cells and not self._current:
             self._passes.read_back(cells.bricks, cells.means, cells.seen)
             self._current = True
+
+    def tie(self, cells: BrickCells, ties: Ties) -> None:
+        self.read_back(cells)
+        CpuFit().tie(cells, ties)
+        if self._cells is cells:
+            self._passes.write(cells.bricks)
 
     def _upload(self, cells: BrickCells) -> None:
         if self._cells is not cells:

@@ -50,4 +50,4 @@ def refit_bricks(
         raise InvalidScene(Problem("the field", "has no cells", "one or more"))
     schedule = Schedule([Stage(field.resolution, 1, epochs, _DENSITY, _COLOUR, samples)])
     state = FitState(schedule, field.basis, seed, field.box.copy(), cells_of_field(field), device=fit_device(gpu))
-    return continue_fit(state, views, point=_POINT, distortion=0.0, most_mean=inf, tilt=0.0)
+    return continue_fit(state, views, point=_POINT, distortion=0.0, most_mean=inf, tilt=0.0, ties=False)

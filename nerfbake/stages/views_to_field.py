@@ -13,6 +13,7 @@ from nerfbake.errors import DeviceError, InvalidScene, Problem
 from nerfbake.kernels.arrays import Bits, Floats, Ints, Points, Singles
 from nerfbake.kernels.fit.bricks import round_cells
 from nerfbake.kernels.fit.plan import BrickPlan, divide_plan, double_plan, plan_of_kept
+from nerfbake.kernels.fit.ties import Ties
 from nerfbake.kernels.fit.update import LearningRates
 from nerfbake.kernels.march.sh import band_of
 from nerfbake.kernels.maths.elementary import exp, log, power
@@ -49,6 +50,10 @@ _MOST = 0.2
 # In the stages with an object's smallest cells, residuals count less where their mean over neighbouring pixels is above
 # this: a reflection that only few views show, and that coefficients cannot represent, must not change the others.
 _MOST_MEAN = 0.05
+# After each epoch, cells are tied to their neighbours (docs/tuning.md): the coefficients of each band, and densities.
+# Objects have tied coefficients until cells are divided. An edge is a difference of densities that hardly counts.
+_TIES, _OBJECT_TIES = (0.01, 0.3, 0.3, 0.3, 0.3), (0.003, 0.09, 0.09, 0.09, 0.09)
+_DENSITY_TIE, _OBJECT_DENSITY_TIE, _EDGE = 0.003, 0.01, 0.03
 # In all epochs but the last, the four rays of a pixel are turned to the one and to the other side, to (3, 1) eighths of
 # a pixel from its middle: a fit to the same places in each epoch is worse between them.
 _TILT = 0.5
@@ -125,13 +130,15 @@ def continue_fit(
     distortion: float = _OBJECT_DISTORTION,
     most_mean: float = _MOST_MEAN,
     tilt: float = _TILT,
+    ties: bool = True,
 ) -> Iterator[FitState]:
     """Take the steps that are left in the state's schedule. Yields the state after every picture, always the same one.
 
     point: weight of the loss of each cell's own colour. distortion: of the distortion loss of an object in the stages
     with its smallest cells, for places that are measured in cells. most_mean: the largest mean residual of neighbouring
     pixels that counts in full, in the same stages. tilt: of the rays of a pixel, to one side and to the other, see
-    pinhole_directions(); in the last epoch they have none. Raises InvalidScene, MemoryLimit.
+    pinhole_directions(); in the last epoch they have none. ties: after each epoch but the last, pull the values of
+    cells towards those of their neighbours. Raises InvalidScene, MemoryLimit.
     """
     ring = None if views.scenery or views.rough else _RING  # rough masks leave cells outside the object
     state.device.begin(views, _looks(state, len(views.pictures), ring, tilt))
@@ -142,6 +149,8 @@ def continue_fit(
         _visit(state, views, losses)
         if state.view == 0:
             state.device.rest()  # the state may be measured now
+            if ties and not state.done:
+                state.device.tie(state.cells, _ties(state, scenery=views.scenery))
         yield state
 
 
@@ -168,6 +177,13 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
     solid, box = find_solid(views, box, schedule[0].cells)
     cells = cells_of_solid(solid, box, B, _START_DENSITY, smooth=schedule.smooth > 0)
     return FitState(schedule, kind, seed, box, cells, gains=gains)
+
+
+def _ties(state: FitState, *, scenery: bool) -> Ties:
+    """Return how strongly the cells are tied to their neighbours after an epoch."""
+    bands, density = (_TIES, _DENSITY_TIE) if scenery else (_OBJECT_TIES, _OBJECT_DENSITY_TIE)
+    tied = scenery or not state.divided
+    return Ties(np.array(bands, np.float32)[band_of(state.cells.B)] if tied else None, density, _EDGE)
 
 
 def _rebuild(state: FitState, views: Views) -> None:
