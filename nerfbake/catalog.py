@@ -101,6 +101,7 @@ class Dialect(NamedTuple):
     needs: tuple[str, ...] = ()  # one of these files of the capture is needed, too, if it is not empty
     is_many: bool = False  # all files of this kind in a folder are read together
     is_shared: bool = False  # such files hold other scenes, too, and are cameras only where these are wanted
+    head: int = contract.HEAD_CAMERAS  # bytes of a file that recognise() gets, if the file is named
     scene: str = "Cameras"
     written_as: str = ""  # value of --to, if the module has encode()
 
@@ -239,7 +240,8 @@ DIALECTS = (
     Dialect("Open3D", "camera.open3d_json", (".json",)),
     Dialect("kapture", "camera.kapture", ("sensors.txt",), ("sensors", "")),
     Dialect("EuRoC", "camera.euroc", ("data.csv",), _EUROC),
-    Dialect("glTF", "camera.gltf", (".glb", ".gltf"), (), is_shared=True),
+    # VTK sorts the keys of a .gltf: its buffers, with all their data, stand before its cameras.
+    Dialect("glTF", "camera.gltf", (".glb", ".gltf"), (), is_shared=True, head=1 << 25),
 )
 _MOST_HEADS = 50  # files of a subfolder whose beginnings are read to recognise a dialect
 
@@ -419,9 +421,7 @@ def folder_of_member(name: str, files: Mapping[str, memoryview]) -> FolderKind |
 
 
 def dialect_of(name: str, head: bytes) -> Dialect | None:
-    """Return the tool whose cameras a file holds, or None. name: its path in the capture; head: its first HEAD_CAMERAS
-    bytes.
-    """
+    """Return the tool whose cameras a file holds, or None. name: its path in the capture; head: its first bytes."""
     last = name.rpartition("/")[2].lower()
     known = (form for form in DIALECTS if last.endswith(form.endings))
     return next((form for form in known if form.load_module().recognise(name, head)), None)

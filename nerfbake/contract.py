@@ -118,7 +118,8 @@ class CameraDialect(Protocol):
     def recognise(self, name: str, head: bytes) -> bool:
         """Return whether a file is in this dialect; never raise.
 
-        name: its path in the capture, with an ending of the catalog. head: its first HEAD_CAMERAS bytes, untrusted.
+        name: its path in the capture, with an ending of the catalog. head: its first bytes, untrusted: HEAD_CAMERAS, or
+        as many as the Dialect says.
         """
 
     def decode(self, files: HeadedFiles, *, name: str) -> Any:

@@ -12,6 +12,7 @@ from nerfbake import memory
 from nerfbake.catalog import (
     ADVICE,
     COMPRESSION_MAGIC,
+    DIALECTS,
     FIELDS,
     MAKERS,
     NOUNS,
@@ -32,7 +33,7 @@ from nerfbake.catalog import (
     uncompressed,
     unread_file,
 )
-from nerfbake.contract import HEAD, HEAD_CAMERAS, PICTURES, PhotographMetadata, StorableScene, picture_names
+from nerfbake.contract import HEAD, PICTURES, PhotographMetadata, StorableScene, picture_names
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, without
 from nerfbake.io.sources import (
     STREAM,
@@ -228,8 +229,9 @@ def _tool_of(source: str | Path, kinds: tuple[type[Any], ...]) -> Dialect | None
     path = Path(source)
     if str(source) == STREAM or not path.is_file():
         return None
+    name = path.name.lower()
     with path.open("rb") as file:
-        head = file.read(HEAD_CAMERAS)
+        head = file.read(max((form.head for form in DIALECTS if name.endswith(form.endings)), default=0))
     form = dialect_of(path.name, head)
     if form is None or not form.is_shared:
         return form

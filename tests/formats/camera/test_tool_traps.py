@@ -329,6 +329,16 @@ def test_a_scene_with_meshes_is_one_of_cameras_only_if_these_are_wanted(made: Ri
         load(file, Cameras)
 
 
+def test_cameras_may_stand_behind_the_data_of_a_gltf(made: Rig, tmp_path: Path) -> None:
+    """VTK sorts the keys: accessors, asset, buffers, cameras."""
+    file = tmp_path / tools.write_gltf(tmp_path, made)
+    document = json.loads(file.read_text())
+    size = 99_999
+    document["buffers"] = [{"byteLength": size, "uri": "data:application/octet-stream;base64," + "AAAA" * (size // 3)}]
+    file.write_text(json.dumps(document, sort_keys=True))
+    assert len(load(file, Cameras).cameras) == len(made.poses)
+
+
 def test_yfov_is_that_of_the_height(made: Rig, tmp_path: Path) -> None:
     """90 degrees over 800 pixels: a focal length of 400. Without pictures, the size is assumed, and a note says so."""
     file = tmp_path / tools.write_gltf(tmp_path, made)
