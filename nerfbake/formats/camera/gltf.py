@@ -3,7 +3,8 @@
 The matrix of a node is camera to world in OpenGL's axes, x right, y up, looking along -z; +y is up in the scene. For
 perspective.yfov in radians and a picture of the height h, fy = h / (2 tan(yfov / 2)). aspectRatio is width / height of
 the picture, and pixels are square. The file has no sizes: a picture beside it that is named as the node or the camera
-gives one, else 800 pixels along the height are assumed.
+gives one, else 800 pixels along the height are assumed. If that picture has another shape than aspectRatio, pixels are
+not square, and a note says so.
 Source: glTF 2.0, section 3.10.
 """
 
@@ -23,6 +24,7 @@ from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.camera import Cameras
 
 _LEAST, _MOST = 1e-6, math.pi - 1e-6  # radians
+_SQUARE = 0.005  # by which the sides of a pixel differ at most; below it, the picture's size was rounded
 
 
 def recognise(name: str, head: bytes) -> bool:
@@ -33,7 +35,7 @@ def recognise(name: str, head: bytes) -> bool:
 def decode(files: CaptureFolder, *, name: str) -> Cameras:
     view = files[name]
     document = Document(view if bytes(view[:4]) == b"glTF" else _packed(view))
-    album, posed, others, unsized = Album(files), [], 0, 0
+    album, posed, others, unsized, oblong = Album(files), [], 0, 0, 0
     for index, key, matrix in placed_nodes(document, "camera"):
         place, camera = f"cameras[{key}]", document.item("cameras", key)
         if camera.get("type") != "perspective":
@@ -54,6 +56,7 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
         ratio = number(optics, "aspectRatio", f"{place}.perspective", default=width / height)
         if not 1e-3 <= ratio <= 1e3:
             raise InvalidFile(Problem(f"{place}.perspective.aspectRatio", f"is {ratio:g}", "0.001 to 1,000"))
+        oblong += found is not None and abs(width / (height * ratio) - 1) > _SQUARE
         posed.append(Posed(label, picture, matrix, (width, height), (focal * width / (height * ratio), focal)))
         require_count(len(posed), name)
     if not posed:
@@ -64,6 +67,9 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
     if unsized:
         told = f"tell no size of a picture; {DEFAULT_EDGE} pixels along the height are assumed"
         notes.append(f"{unsized:,} of {plural(len(posed), 'camera')} {told}")
+    if oblong:
+        told = "have another aspectRatio than their pictures, so that pixels are not square"
+        notes.append(f"{oblong:,} of {plural(len(posed), 'camera')} {told}")
     return cameras_of(posed, dialect="glTF", source=name, notes=notes)
 
 

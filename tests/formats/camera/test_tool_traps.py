@@ -352,6 +352,21 @@ def test_yfov_is_that_of_the_height(made: Rig, tmp_path: Path) -> None:
     assert read.notes == ("3 of 3 cameras tell no size of a picture; 800 pixels along the height are assumed",)
 
 
+def test_an_aspect_ratio_other_than_that_of_the_picture_is_noted(made: Rig, tmp_path: Path) -> None:
+    """As trimesh writes it, which divides the angles."""
+    file = tmp_path / tools.write_gltf(tmp_path, made)
+    tools.write_picture(tmp_path / f"{made.names[0]}.png", made)
+    assert load(file, Cameras).notes[1:] == ()
+    document = json.loads(file.read_text())
+    document["cameras"][0]["perspective"]["aspectRatio"] /= 1.25
+    file.write_text(json.dumps(document))
+    read = load(file, Cameras)
+    camera = next(each for each in read.cameras if each.width == made.width)
+    assert camera.fx / camera.fy == pytest.approx(1.25)
+    told = "1 of 3 cameras have another aspectRatio than their pictures, so that pixels are not square"
+    assert read.notes[-1] == told
+
+
 def test_the_lens_and_the_times_of_euroc(made: Rig, tmp_path: Path) -> None:
     file = tmp_path / tools.write_euroc(tmp_path, made)
     sensor = file.parents[1] / "cam0" / "sensor.yaml"
