@@ -13,12 +13,14 @@ from nerfbake.kernels.arrays import Floats, Points
 from nerfbake.kernels.fit.bricks import values_by_brick, values_by_cell
 from nerfbake.kernels.maths.elementary import log
 from nerfbake.scene.basis import SH0, Basis
+from nerfbake.scene.brick_field import BrickField
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, field_of_cells
 from nerfbake.stages._ray_targets import reduced_view
 from nerfbake.stages._scenery import wall_of
+from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 from nerfbake.stages.field_to_image import render_field
-from nerfbake.stages.scene_to_field import build_field_from_bricks
+from nerfbake.stages.scene_to_field import build_field_from_n3tree
 
 _OPAQUE = 6.0  # density per cell width, so that the colour behind the wall does not shine through
 _EDGE = 96  # most pixels of a picture's shorter edge
@@ -40,9 +42,9 @@ def settle_wall(cells: BrickCells, views: Views, box: Points, gains: Floats) -> 
     wall = np.flatnonzero(wall_of(cells))
     with memory.scope():
         memory.require(f"the colours of {len(wall):,} cells", _CELL_BYTES * len(wall) + 8 * len(cells.bricks.values))
+        logits = _colours(cells, wall, views, box, gains)
         rows = np.empty((cells.n, 3 * cells.B + 1), np.float32)
         values_by_cell(cells.bricks.values, cells.bricks.first, rows)
-        logits = _colours(cells, wall, views, box, gains)
         rows[wall, :-1] = 0
         rows[wall, : -1 : cells.B] = logits / SH0
         rows[wall, -1] = np.maximum(rows[wall, -1], np.float32(_OPAQUE))
@@ -53,9 +55,9 @@ def _colours(cells: BrickCells, wall: npt.NDArray[np.intp], views: Views, box: P
     """Return the colours (n, 3) of the cells of the wall, before the sigmoid."""
     number, toward = _lattice(cells, wall)
     low, size, edge = cells.bricks.low[-1], cells.bricks.size[-1], 8 * cells.bricks.top.shape[1]
-    field = field_of_cells(cells, box, Basis("SH", cells.B))
-    field.values[wall, -1] = 0
-    before = build_field_from_bricks(field)
+    before = build_field_from_n3tree(
+        build_n3tree(_without(cells, wall, box))
+    )  # each frees the memory of the one before
     patch = _patches(toward)
     own, spread = np.zeros((len(wall), 4)), np.zeros((6 * _PATCHES**2, 4))
     for view, camera in enumerate(views.cameras.cameras):
@@ -78,6 +80,13 @@ def _colours(cells: BrickCells, wall: npt.NDArray[np.intp], views: Views, box: P
     colours = _blended(toward, own, spread)
     colours = np.clip(colours, _FAINT, _BRIGHT)
     return log(colours / (1 - colours))
+
+
+def _without(cells: BrickCells, wall: npt.NDArray[np.intp], box: Points) -> BrickField:
+    """Return the cells without those of the wall."""
+    field = field_of_cells(cells, box, Basis("SH", cells.B))
+    field.values[wall, -1] = 0
+    return field
 
 
 def _lattice(cells: BrickCells, wall: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.int32], Floats]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -72,45 +72,31 @@ def _shell_tree(field: BrickField, dtype: Literal["float32", "float16"]) -> N3Tr
 def _nested(trees: list[N3Tree]) -> N3Tree:
     """Return the trees as one, each in the middle half of the one before; the middle of each but the last is empty.
 
-    The octant o of a tree's root takes the place of cell 7 - o in the octant o of the next larger tree.
+    The octant o of a tree's root takes the place of cell 7 - o in the octant o of the next larger tree. The list is
+    emptied on the way, so that the trees do not need their memory twice.
     """
-    parents, values = _with_octants(trees[0])
-    child, data = [parents], [values]
-    rows = parents[0].copy()  # of the octants of the larger tree, among all rows
-    first, start = 0, len(parents)  # the row of parents[0], and of the next node
-    for number, tree in enumerate(trees[1:], start=2):
-        # An empty inner cube has nodes, too: a reader counts its shells by the levels of nodes.
-        nodes, values = _with_octants(tree) if number < len(trees) or tree.n == 1 else _flat(tree)
-        octants = np.where(nodes[0] > 0, start + nodes[0] - 1, 0)  # the tree's root has no row
-        for o in range(8):
-            if octants[o]:
-                parents[rows[o] - first, 7 - o] = octants[o] - rows[o]
-        child.append(nodes[1:])
-        data.append(values[1:])
-        parents, rows, first = child[-1], octants, start
-        start += len(nodes) - 1
-    memory.require("the tree of all shells", sum(part.nbytes for part in (*child, *data)))
-    n = start
-    return replace(
-        trees[0],
-        shells=len(trees),
-        child=np.concatenate(child).reshape(n, 2, 2, 2),
-        data=np.concatenate(data).reshape(n, 2, 2, 2, -1),
-    )
-
-
-def _flat(tree: N3Tree) -> tuple[npt.NDArray[np.int32], npt.NDArray[Any]]:
-    return tree.child.reshape(tree.n, 8), tree.data.reshape(tree.n, 8, -1)
-
-
-def _with_octants(tree: N3Tree) -> tuple[npt.NDArray[np.int32], npt.NDArray[Any]]:
-    """Return the nodes and values of a tree, with empty nodes for the octants of its root that have none."""
-    child, data = _flat(tree)
-    empty = np.flatnonzero(child[0] == 0)
-    child = np.concatenate([child, np.zeros((len(empty), 8), np.int32)])
-    data = np.concatenate([data, np.zeros((len(empty), *data.shape[1:]), data.dtype)])
-    child[0, empty] = tree.n + np.arange(len(empty))
-    return child, data
+    largest, roots = trees[0], [tree.child[0].reshape(8).copy() for tree in trees]
+    # An empty inner cube has nodes, too: a reader counts its shells by the levels of nodes.
+    for root, tree in zip(roots[:-1] + roots[-1:] * (trees[-1].n == 1), trees, strict=False):
+        missing = np.flatnonzero(root == 0)
+        root[missing] = tree.n + np.arange(len(missing))  # empty nodes that follow those of the tree
+    counts = [max(tree.n, int(root.max()) + 1) for tree, root in zip(trees, roots, strict=True)]
+    n, width = sum(counts) - len(trees) + 1, largest.data.shape[-1]  # no tree but the largest has a row for its root
+    memory.require("the tree of all shells", n * 8 * (width * largest.data.itemsize + 4))
+    child, data = np.zeros((n, 8), np.int32), np.zeros((n, 8, width), largest.data.dtype)
+    shells, rows, start = len(trees), np.zeros(8, np.int64), 0  # rows: of the octants of the larger tree
+    for number, (root, count) in enumerate(zip(roots, counts, strict=True)):
+        tree, skipped = trees.pop(0), min(number, 1)
+        end = start + tree.n - skipped
+        child[start:end] = tree.child.reshape(-1, 8)[skipped:]
+        data[start:end] = tree.data.reshape(-1, 8, width)[skipped:]
+        octants = np.where(root > 0, start + root - skipped, 0)
+        if number == 0:
+            child[0] = root
+        for o in np.flatnonzero(octants) if number else ():
+            child[rows[o], 7 - o] = octants[o] - rows[o]
+        rows, start = octants, start + count - skipped
+    return replace(largest, shells=shells, child=child.reshape(n, 2, 2, 2), data=data.reshape(n, 2, 2, 2, width))
 
 
 class _Bricks(NamedTuple):
