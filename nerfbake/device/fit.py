@@ -433,9 +433,9 @@ def _shaders(smooth: bool) -> dict[str, tuple[str, tuple[str, ...], dict[str, fl
     of_cells, of_rays = (_HARMONICS, "fit/view", "fit/cells"), ("fit/view", "fit/rays")
     return {
         "paint": ("paint", (*of_cells, "fit/paint"), {}),
-        "march": ("march", (*of_rays, "fit/march"), kind),
+        "march": ("march", (*of_rays, "fit/grid", "fit/march"), kind),
         "residual": ("residual", (*of_rays, "fit/residual"), {}),
-        "back": ("march", (*of_rays, "fit/march"), {"back": 1.0, **kind}),
+        "back": ("march", (*of_rays, "fit/grid", "fit/march"), {"back": 1.0, **kind}),
         "step": ("stepCells", (*of_cells, "fit/step"), kind),
         "stepCorners": ("stepCorners", ("fit/view", "fit/corners"), {}),
     }

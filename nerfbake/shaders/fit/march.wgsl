@@ -1,13 +1,9 @@
 // The rays of a view through the bricks, twice: first what each ray sees, then, with `back`, what its pixel asks of the
-// cells that it meets. A thread for each ray. WGSL. Paste rays.wgsl above this file.
+// cells that it meets. A thread for each ray. WGSL. Paste rays.wgsl and grid.wgsl above this file.
 //
 // The first pass keeps sums over the whole ray. In the second one, what lies behind a cell is the sum over the ray minus
 // that up to the cell, so no list of cells is kept.
 //
-//   top      int32 of each place in the grids of bricks, x-major, shell after shell: the number of a brick, or minus the
-//            distance to the nearest one
-//   slots    an int16 for each of the 512 places of a brick, two in a word: cell << 1 | wide; -2 for one empty place, -1
-//            in an empty block of 2^3
 //   first    the number of each brick's first cell, in the buffer of cells.wgsl
 //   painted  colour and density of each cell
 //   sums     eight int32 for each cell: colour (3), weight, step of the density, curvature, largest weight, blame
@@ -26,8 +22,6 @@ struct Corner {
 }
 
 @group(1) @binding(0) var<storage, read> bricks: array<vec2u>;
-@group(1) @binding(1) var<storage, read> top: array<i32>;
-@group(1) @binding(2) var<storage, read> slots: array<u32>;
 @group(1) @binding(4) var<storage, read> painted: array<vec4f>;
 @group(1) @binding(8) var<storage, read_write> sums: array<atomic<i32>>;
 @group(1) @binding(9) var<storage, read> cornersOf: array<u32>;
@@ -52,17 +46,6 @@ fn partInCube(shell: i32, direction: vec3f) -> vec2f {
 // Replace components near 0 (rays parallel to an axis), to avoid a division by 0.
 fn steady(direction: vec3f) -> vec3f {
     return select(direction, vec3f(1e-12), abs(direction) < vec3f(1e-12));
-}
-
-fn brickAt(shell: i32, at: vec3i) -> i32 {
-    let edge = i32(view.edge);
-    return top[((shell * edge + at.x) * edge + at.y) * edge + at.z];
-}
-
-fn slotAt(brick: i32, cell: vec3i) -> i32 {
-    let place = u32(((cell.x & 7) << 6u) | ((cell.y & 7) << 3u) | (cell.z & 7));
-    let word = slots[256u * u32(brick) + (place >> 1u)];
-    return bitcast<i32>(word << (16u * (1u - (place & 1u)))) >> 16u;
 }
 
 fn densityAt(row: u32, place: vec3f, perWidth: f32) -> Density {
