@@ -1,8 +1,8 @@
 """A fit on a graphics device: the cells of a stage and the pixels of its views in buffers, and visits of the views.
 
-The passes are shaders/fit/*.wgsl; they do what kernels.fit.rays.march_view() and kernels.fit.update.take_steps() do.
-Sums are integers, so one device and driver gives the same bytes on every run. They are not those of the CPU, because
-devices round divisions and exponentials differently.
+The passes are shaders/fit/*.wgsl; they do what kernels.fit.rays.march_view(), kernels.fit.update.take_steps() and
+kernels.fit.ties do. Sums are integers, so one device and driver gives the same bytes on every run. They are not those
+of the CPU, because devices round divisions and exponentials differently.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from nerfbake.errors import DeviceError, Problem
 from nerfbake.kernels.arrays import Floats, Singles
 from nerfbake.kernels.fit.bricks import BrickGrid
 from nerfbake.kernels.fit.rays import SUMS
+from nerfbake.kernels.fit.ties import Ties
 from nerfbake.kernels.fit.update import CORNER_RATE, LearningRates
 from nerfbake.kernels.parallel import over_chunks
 
@@ -39,7 +40,10 @@ _VIEW = np.dtype(  # the record `View` of view.wgsl
         ("counts", "u4", 7),
         ("tilt", "f4"),
         ("shells", "f4", (8, 2, 4)),
-        ("spare", "u4", 4),
+        ("tie", "f4"),
+        ("tie_edge", "f4"),
+        ("coefficient", "u4"),
+        ("spare", "u4"),
     ]
 )
 _RECORDS = 64  # views of one call, which is as many as the buffer of records has
@@ -207,12 +211,30 @@ class FitPasses:
                 corners = more[2].reshape(-1, 4)
                 bricks.corners.raw[:], bricks.corners.mean[:] = corners[:, 0], corners[:, 1]
 
-    def write(self, bricks: BrickGrid) -> None:
-        """Copy the values of the cells of upload() to the device again."""
+    def tie(self, ties: Ties) -> None:
+        """Pull the values of the cells once towards those of their neighbours; interpolated densities stay.
+
+        Returns when the device has done the work.
+        """
         cells = self._held()
-        D = 3 * cells.B + 1
-        for begin, end, own in cells.parts:
-            self.gpu.write(own["values"], bricks.values[D * int(bricks.first[begin]) : D * int(bricks.first[end])])
+        tied = [] if ties.coefficients is None else [*enumerate(map(float, ties.coefficients))]
+        if not cells.bricks.smooth:
+            tied.append((cells.B, ties.density))
+        records = np.zeros(len(tied), _VIEW)
+        records["counts"][:, 4], records["tie_edge"] = cells.bricks.top.shape[1], ties.edge
+        for record, (coefficient, strength) in zip(records, tied, strict=True):
+            record["coefficient"], record["tie"] = coefficient, strength
+        self._settle()  # so that the time of the ties is not that of a visit
+        self._write_records(records)
+        for slot in range(len(tied)):
+            self.gpu.submit(
+                [
+                    Dispatch(self._of_part(name, number), end - begin, slot)
+                    for name in ("gather", "tie")
+                    for number, (begin, end, _) in enumerate(cells.parts)
+                ]
+            )
+            self.gpu.finish()
 
     def _require_numbers(self, array: npt.NDArray[Any]) -> None:
         def look(begin: int, end: int) -> None:
@@ -260,10 +282,7 @@ class FitPasses:
         for slot, visit in enumerate(visits):
             records[slot] = self._record(cells, visit, slot, counted)
         started = time.perf_counter()
-        stride = self._records.stride
-        padded = np.zeros((len(visits), stride), np.uint8)
-        padded[:, : _VIEW.itemsize] = records.view(np.uint8).reshape(len(visits), -1)
-        gpu.write(self._records, padded)
+        self._write_records(records)
         gpu.write(self._totals, np.zeros(_SLOT * len(visits), np.uint32))
         work: list[Dispatch] = []
         for slot, visit in enumerate(visits):
@@ -273,6 +292,11 @@ class FitPasses:
                 work = []
         self._pending.append((gpu.read_later(self._totals, np.uint32, _SLOT * len(visits)), started, len(visits)))
         self._settle(running=1)  # the device has this work while the next is prepared
+
+    def _write_records(self, records: npt.NDArray[Any]) -> None:
+        padded = np.zeros((len(records), self._records.stride), np.uint8)
+        padded[:, : _VIEW.itemsize] = records.view(np.uint8).reshape(len(records), _VIEW.itemsize)
+        self.gpu.write(self._records, padded)
 
     def _settle(self, *, running: int = 0) -> Floats:
         """Wait for what was started, but for the last `running` calls; return the sums (visits, SUMS) of the last."""
@@ -431,11 +455,14 @@ def _shaders(smooth: bool) -> dict[str, tuple[str, tuple[str, ...], dict[str, fl
     """Return entry point, parts of the text and constants of each pass."""
     kind = {"smoothed": float(smooth)}
     of_cells, of_rays = (_HARMONICS, "fit/view", "fit/cells"), ("fit/view", "fit/rays")
+    ties, walk = (*of_cells, "fit/grid", "fit/tie"), (*of_rays, "fit/grid", "fit/march")
     return {
         "paint": ("paint", (*of_cells, "fit/paint"), {}),
-        "march": ("march", (*of_rays, "fit/grid", "fit/march"), kind),
+        "march": ("march", walk, kind),
         "residual": ("residual", (*of_rays, "fit/residual"), {}),
-        "back": ("march", (*of_rays, "fit/grid", "fit/march"), {"back": 1.0, **kind}),
+        "back": ("march", walk, {"back": 1.0, **kind}),
         "step": ("stepCells", (*of_cells, "fit/step"), kind),
+        "gather": ("gather", ties, {}),
+        "tie": ("tie", ties, {}),
         "stepCorners": ("stepCorners", ("fit/view", "fit/corners"), {}),
     }

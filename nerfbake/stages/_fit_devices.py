@@ -255,10 +255,9 @@ class GpuFit:
             self._current = True
 
     def tie(self, cells: BrickCells, ties: Ties) -> None:
-        self.read_back(cells)
-        CpuFit().tie(cells, ties)
-        if self._cells is cells:
-            self._passes.write(cells.bricks)
+        self._upload(cells)
+        self._current = False
+        self._passes.tie(ties)
 
     def _upload(self, cells: BrickCells) -> None:
         if self._cells is not cells:

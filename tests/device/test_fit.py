@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake.device.fit import DeviceVisit, FitPasses, Losses, Pixels
 from nerfbake.device.gpu import Gpu
@@ -16,8 +17,12 @@ from nerfbake.kernels.arrays import Singles
 from nerfbake.kernels.fit.bricks import BrickGrid, new_batch
 from nerfbake.kernels.fit.colours import number_pixels, pinhole_directions, tile_order
 from nerfbake.kernels.fit.rays import SUMS, FitView, march_view
+from nerfbake.kernels.fit.ties import Ties
 from nerfbake.kernels.fit.update import LearningRates, take_steps
 from nerfbake.kernels.march.sh import band_of
+from nerfbake.stages._bricks import BrickCells, with_corners
+from nerfbake.stages._fit_devices import CpuFit
+from tests.kernels.fit import test_ties as of_ties
 from tests.kernels.fit.test_rays import bricks, smooth_bricks
 
 EDGE, SAMPLES, TILT, BACKGROUND = 24, 2, 0.5, (1.0, 0.9, 0.8)
@@ -142,6 +147,44 @@ def test_sums_are_coarser_where_many_rays_meet_a_cell_and_the_steps_are_the_same
     )
     with pytest.raises(DeviceError, match=r"a cell may meet 8,000,000 rays of a view; allowed: 131,072"):
         passes._steps_a_unit(cells, DeviceVisit(passes.upload_view(inside), 2, Losses(2.5), np.ones(3), STEPS))
+
+
+def tied(gpu: Gpu, cells: BrickCells, ties: Ties) -> Singles:
+    """The values of cells after a tie on the device. The arrays of the cells stay."""
+    passes, found = FitPasses(gpu), cells.bricks._replace(values=cells.bricks.values.copy())
+    passes.upload(found, cells.means, cells.seen)
+    passes.tie(ties)
+    passes.read_back(found, cells.means.copy(), cells.seen.copy())
+    return found.values
+
+
+TIES = Ties(of_ties.STRENGTHS, of_ties.STRENGTH, of_ties.EDGE)
+
+
+@pytest.mark.parametrize("parts", [1, 3])
+@pytest.mark.parametrize(("shells", "split"), [(1, False), (3, False), (1, True)])
+@pytest.mark.parametrize("ties", [TIES, TIES._replace(coefficients=None)])
+def test_cells_are_tied_as_on_the_cpu_and_to_the_same_bytes_on_every_run(
+    gpu: Gpu, monkeypatch: pytest.MonkeyPatch, parts: int, shells: int, split: bool, ties: Ties
+) -> None:
+    cells = of_ties.random_cells(np.random.default_rng(1), shells=shells, split=split)
+    bounds = [round(len(cells.bricks.slots) * part / parts) for part in range(parts + 1)]
+    monkeypatch.setattr(FitPasses, "_ranges", lambda *_: pairwise(bounds))
+    before, found = cells.bricks.values.copy(), tied(gpu, cells, ties)
+    assert_array_equal(tied(gpu, cells, ties), found)
+    CpuFit().tie(cells, ties)
+    assert np.abs(cells.bricks.values - before).max() > 0.1
+    assert_allclose(found, cells.bricks.values, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("ties", [TIES, TIES._replace(coefficients=None)])
+def test_ties_leave_interpolated_densities(gpu: Gpu, ties: Ties) -> None:
+    cells = with_corners(of_ties.random_cells(np.random.default_rng(1), split=True))
+    before, found = of_ties.rows(cells), tied(gpu, cells, ties)
+    CpuFit().tie(cells, ties)
+    assert_allclose(found, cells.bricks.values, rtol=0, atol=2e-6)
+    cells.bricks.values[:] = found
+    assert_array_equal(of_ties.rows(cells)[:, -1], before[:, -1])
 
 
 def test_a_stage_that_a_binding_cannot_hold_is_one_line(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ from nerfbake import Camera, Views, build_field_from_bricks, carve_hull, fit_fie
 from nerfbake.device.fit import FitPasses, Losses
 from nerfbake.device.gpu import Gpu
 from nerfbake.errors import DeviceError
+from nerfbake.kernels.fit.ties import Ties
 from nerfbake.kernels.fit.update import LearningRates
 from nerfbake.scene.camera import Cameras, look_at
 from nerfbake.scene.lens import Lens
@@ -105,6 +106,20 @@ def test_values_in_two_bindings_are_those_in_one(gpu: Gpu, monkeypatch: pytest.M
     visited(GpuFit(gpu), views, two, Losses(1.6))
     assert_array_equal(one.bricks.values, two.bricks.values)
     assert_array_equal(one.seen, two.seen)
+
+
+def test_cells_are_tied_on_the_device_and_stay_there(gpu: Gpu) -> None:
+    own, theirs, device = some_shells(), some_shells(), GpuFit(gpu)
+    for cells in own, theirs:
+        cells.means[:] = np.random.default_rng(3).random((cells.n, 2))
+    before, ties = own.bricks.values.copy(), Ties(np.full(1, 0.5, np.float32), 0.2, 0.3)
+    for _ in range(2):
+        device.tie(theirs, ties)
+        CpuFit().tie(own, ties)
+    assert_array_equal(theirs.bricks.values, before)
+    device.read_back(theirs)
+    assert np.abs(own.bricks.values - before).max() > 0.1
+    assert_allclose(theirs.bricks.values, own.bricks.values, atol=1e-5)
 
 
 @pytest.mark.long

@@ -1,8 +1,9 @@
 // What all passes of a fit know about the view that is visited, and the tables of the bricks. WGSL.
 //
 // One visit is the passes paint, march, residual, march again with `back`, step and, where densities are interpolated,
-// corners. Sums are integers with view.unit steps a unit, so they are the same in any order. Paste harmonics.wgsl and
-// `const B = 9;`, the number of coefficients of a channel, above this file.
+// corners. Sums are integers with view.unit steps a unit, so they are the same in any order. A tie of the cells is the
+// passes gather and tie for each coefficient. Paste harmonics.wgsl and `const B = 9;`, the number of coefficients of a
+// channel, above this file.
 const SHELLS = 8;
 const FRESH = 1u;   // bits of view.flags: the first visit of an epoch, which clears the blame
 const BENT = 2u;    // `bent` has the directions of the rays
@@ -32,6 +33,9 @@ struct View {
     slot: u32,                // of the view in `totals`
     tilt: f32,                // a ray at (x, y) from the middle of its pixel moves by tilt (y, -x)
     shells: array<Shell, SHELLS>,
+    tie: f32,                 // the strength of the tie, see tie.wgsl
+    tieEdge: f32,             // a difference of densities: a neighbour with this one counts half
+    coefficient: u32,         // of each channel that is tied; B: the densities
 }
 
 @group(0) @binding(0) var<uniform> view: View;
