@@ -322,7 +322,7 @@ def test_a_part_that_a_sweeper_took_is_made_anew(
         sweep()
         return lock(handle)
 
-    monkeypatch.setattr(*((targets.os, "open", open_swept) if moment == "open" else (targets, "lock", lock_swept)))
+    monkeypatch.setattr(*((os, "open", open_swept) if moment == "open" else (targets, "lock", lock_swept)))
     target = tmp_path / "out"
     write_folder(target, b"whole") if folder else write(target, b"whole")
     assert len(taken) == (folder or moment == "lock")  # a file is made and opened in one step
