@@ -33,7 +33,7 @@ from nerfbake.catalog import (
     uncompressed,
     unread_file,
 )
-from nerfbake.contract import HEAD, PICTURES, PhotographMetadata, StorableScene, picture_names
+from nerfbake.contract import HEAD, HEAD_CAMERAS, PICTURES, PhotographMetadata, StorableScene, picture_names
 from nerfbake.errors import InvalidFile, NerfbakeError, OutputError, Problem, without
 from nerfbake.io.sources import (
     STREAM,
@@ -230,8 +230,9 @@ def _tool_of(source: str | Path, kinds: tuple[type[Any], ...]) -> Dialect | None
     if str(source) == STREAM or not path.is_file():
         return None
     name = path.name.lower()
+    most = max((form.head for form in DIALECTS if name.endswith(form.endings)), default=0)
     with path.open("rb") as file:
-        head = file.read(max((form.head for form in DIALECTS if name.endswith(form.endings)), default=0))
+        head = file.read(min(most, max(HEAD_CAMERAS, memory.left() // 2)))
     form = dialect_of(path.name, head)
     if form is None or not form.is_shared:
         return form

@@ -24,12 +24,13 @@ from nerfbake.kernels.soundness import MAX_EDGE, plural
 from nerfbake.scene.camera import Cameras
 
 _LEAST, _MOST = 1e-6, math.pi - 1e-6  # radians
+_SPACE = 64  # bytes before the text of a .gltf: head may have megabytes, which need no copy
 _SQUARE = 0.005  # by which the sides of a pixel differ at most; below it, the picture's size was rounded
 
 
 def recognise(name: str, head: bytes) -> bool:
     binary = head.startswith(b"glTF")
-    return (binary or head.lstrip().startswith(b"{")) and b'"cameras"' in head and b'"asset"' in head
+    return (binary or head[:_SPACE].lstrip().startswith(b"{")) and b'"cameras"' in head and b'"asset"' in head
 
 
 def decode(files: CaptureFolder, *, name: str) -> Cameras:
