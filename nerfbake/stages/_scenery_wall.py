@@ -55,9 +55,8 @@ def _colours(cells: BrickCells, wall: npt.NDArray[np.intp], views: Views, box: P
     """Return the colours (n, 3) of the cells of the wall, before the sigmoid."""
     number, toward = _lattice(cells, wall)
     low, size, edge = cells.bricks.low[-1], cells.bricks.size[-1], 8 * cells.bricks.top.shape[1]
-    before = build_field_from_n3tree(
-        build_n3tree(_without(cells, wall, box))
-    )  # each frees the memory of the one before
+    # Nothing else keeps the bricks: their memory is free once there is a tree.
+    before = build_field_from_n3tree(build_n3tree(_without(cells, wall, box)))
     patch = _patches(toward)
     own, spread = np.zeros((len(wall), 4)), np.zeros((6 * _PATCHES**2, 4))
     for view, camera in enumerate(views.cameras.cameras):

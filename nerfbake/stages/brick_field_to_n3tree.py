@@ -77,7 +77,7 @@ def _nested(trees: list[N3Tree]) -> N3Tree:
     """
     largest, roots = trees[0], [tree.child[0].reshape(8).copy() for tree in trees]
     # An empty inner cube has nodes, too: a reader counts its shells by the levels of nodes.
-    for root, tree in zip(roots[:-1] + roots[-1:] * (trees[-1].n == 1), trees, strict=False):
+    for root, tree in zip(roots if trees[-1].n == 1 else roots[:-1], trees, strict=False):
         missing = np.flatnonzero(root == 0)
         root[missing] = tree.n + np.arange(len(missing))  # empty nodes that follow those of the tree
     counts = [max(tree.n, int(root.max()) + 1) for tree, root in zip(trees, roots, strict=True)]

@@ -51,7 +51,7 @@ _MOST = 0.2
 # this: a reflection that only few views show, and that coefficients cannot represent, must not change the others.
 _MOST_MEAN = 0.05
 # After each epoch, cells are tied to their neighbours (docs/tuning.md): the coefficients of each band, and densities.
-# Objects have tied coefficients until cells are divided. An edge is a difference of densities that hardly counts.
+# Objects have tied coefficients until cells are divided. A neighbour whose density differs by an edge counts half.
 _TIES, _OBJECT_TIES = (0.01, 0.3, 0.3, 0.3, 0.3), (0.003, 0.09, 0.09, 0.09, 0.09)
 _DENSITY_TIE, _OBJECT_DENSITY_TIE, _EDGE = 0.003, 0.01, 0.03
 # In all epochs but the last, the four rays of a pixel are turned to the one and to the other side, to (3, 1) eighths of
