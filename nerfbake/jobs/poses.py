@@ -309,7 +309,8 @@ def _run(steps: Steps, name: str, request: Mapping[str, Any]) -> dict[str, Any]:
         _require_disk(name, request, ended)
         steps.say(f"{name}: warning: pycolmap crashed with {ended}; it runs once more, with one thread")
         shutil.rmtree(request["work"], ignore_errors=True)
-        event, ended = _run_once(steps, {**request, "work": f"{request['work']}-again", "threads": 1})
+        again = {"work": f"{request['work']}-again", "threads": 1, "at_once": False}
+        event, ended = _run_once(steps, {**request, **again})
     if "models" in event:
         return event
     if "missing" in event:

@@ -11,7 +11,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,7 @@ from benchmarks.captures import position_errors
 from nerfbake import Cameras, NerfbakeError, io, load
 from nerfbake.errors import InvalidFile
 from nerfbake.installation import command_for
-from nerfbake.jobs import PosesResult, Source, WorldOptions, find_poses, poses
+from nerfbake.jobs import PosesResult, Source, WorldOptions, _pycolmap, find_poses, poses
 from nerfbake.jobs.poses import require_poses
 from nerfbake.jobs.steps import SILENT
 from nerfbake.scene.world import World
@@ -349,6 +351,7 @@ def test_after_a_crash_pycolmap_has_one_thread_and_a_new_folder(
     monkeypatch.setenv("NUMBA_NUM_THREADS", "5")
     assert "too few points" in refused(photographs)
     assert [request["threads"] for request in asked] == [5, 1]
+    assert asked[1]["at_once"] is False
 
 
 def test_a_crash_is_told_without_its_stack_trace(photographs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -491,6 +494,48 @@ def test_many_pictures_are_matched_in_their_order(
     refused(tmp_path)
     refused(tmp_path, sequential=not sequential)
     assert [request["sequential"] for request in asked] == [sequential, not sequential]
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_photographs_that_overlap_little_are_placed_at_once(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every sixth photograph of a walk around a toy; one after another, only a third of them can be placed."""
+    capture = data / "captures" / "plush"
+    run_once, found = poses._run_once, []
+    for at_once in (False, True):
+        folder = tmp_path / f"{at_once}"
+        folder.mkdir()
+        for path in sorted((capture / "images").iterdir())[::6]:
+            with Pillow.open(path) as picture:
+                picture.resize((504, 378), Pillow.Resampling.LANCZOS).save(folder / path.name, quality=95)
+        asked = partial(lambda at_once, steps, request: run_once(steps, {**request, "at_once": at_once}), at_once)
+        monkeypatch.setattr(poses, "_run_once", asked)
+        found.append(find_poses(folder).registered)
+    assert found[1] >= found[0] + 3
+    given = {Path(camera.picture).name: camera.pose[:3, 3] for camera in load(capture, Cameras).cameras}
+    cameras = load(folder, Cameras)
+    known = np.array([given[camera.picture] for camera in cameras.cameras])
+    assert position_errors(positions_of(cameras), known).max() < 0.05
+
+
+def test_a_picture_that_few_points_hold_is_dropped() -> None:
+    """Pictures 1, 2 and 3 share points in pairs, 4 shares too few with them, and 5 with 6 alone."""
+    dropped: list[int] = []
+    groups = [((1, 2), 15), ((2, 3), 15), ((1, 4), 8), ((3, 4), 8), ((5, 6), 40)]
+    points = [SimpleNamespace(track=track_of(numbers)) for numbers, count in groups for _ in range(count)]
+    model = SimpleNamespace(
+        points3D=dict(enumerate(points)),
+        images={i: SimpleNamespace(has_pose=i != 7, frame_id=10 * i) for i in range(1, 8)},
+        deregister_frame=dropped.append,
+    )
+    _pycolmap._drop_loose(model)
+    assert sorted(dropped) == [40, 50, 60]
+
+
+def track_of(numbers: tuple[int, ...]) -> SimpleNamespace:
+    return SimpleNamespace(elements=[SimpleNamespace(image_id=number) for number in numbers])
 
 
 @pytest.mark.data
