@@ -156,7 +156,7 @@ def write_npz(
         crc = zlib_ng.crc32(head)
         for piece in pieces():
             crc = zlib_ng.crc32(piece, crc)
-        body = deflate_raw(head, _whole(pieces())) if deflated else None
+        body = deflate_raw(head, pieces()) if deflated else None
         packed = size if body is None else sum(map(len, body))
         zip64 = struct.pack("<HHQQ", 1, 16, size, packed) if max(size, packed) >= _ZIP64_FROM else b""
         version = 45 if zip64 else 20
@@ -186,11 +186,6 @@ def _member(value: npt.ArrayLike | StreamedArray) -> tuple[bytes, int, Callable[
         return head, len(head) + prod(rows.shape) * rows.dtype.itemsize, lambda: row_pieces(rows)
     head, body = npy_pieces(np.asarray(value))
     return head, len(head) + len(body), lambda: (body,)
-
-
-def _whole(pieces: Iterable[memoryview]) -> bytes | memoryview:
-    parts = list(pieces)
-    return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
 def _central(name: bytes, version: int, common: tuple[int, ...], sizes: tuple[int, int], at: int) -> bytes:
