@@ -18,9 +18,8 @@ from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, field_of_cells
 from nerfbake.stages._ray_targets import reduced_view
 from nerfbake.stages._scenery import wall_of
-from nerfbake.stages.brick_field_to_n3tree import build_n3tree
 from nerfbake.stages.field_to_image import render_field
-from nerfbake.stages.scene_to_field import build_field_from_n3tree
+from nerfbake.stages.scene_to_field import build_field_from_bricks
 
 _OPAQUE = 6.0  # density per cell width, so that the colour behind the wall does not shine through
 _EDGE = 96  # most pixels of a picture's shorter edge
@@ -55,8 +54,7 @@ def _colours(cells: BrickCells, wall: npt.NDArray[np.intp], views: Views, box: P
     """Return the colours (n, 3) of the cells of the wall, before the sigmoid."""
     number, toward = _lattice(cells, wall)
     low, size, edge = cells.bricks.low[-1], cells.bricks.size[-1], 8 * cells.bricks.top.shape[1]
-    # Nothing else keeps the bricks: their memory is free once there is a tree.
-    before = build_field_from_n3tree(build_n3tree(_without(cells, wall, box)))
+    before = build_field_from_bricks(_without(cells, wall, box))
     patch = _patches(toward)
     own, spread = np.zeros((len(wall), 4)), np.zeros((6 * _PATCHES**2, 4))
     for view, camera in enumerate(views.cameras.cameras):

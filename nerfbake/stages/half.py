@@ -23,16 +23,31 @@ def cast_values(values: npt.NDArray[Any], dtype: np.dtype[Any], *, what: str, as
     """
     if values.dtype == dtype or not values.size:
         return values.astype(dtype, copy=False)
-    rows = max(1, _CHUNK * len(values) // values.size)
-    largest, cast = np.zeros(-(-len(values) // rows)), np.empty(values.shape, dtype)
+    require_range(values, dtype, what=what, asked=asked)
+    cast = np.empty(values.shape, dtype)
 
     def convert(begin: int, end: int) -> None:
-        if dtype == np.float16:
-            largest[begin // rows] = np.abs(values[begin:end]).max()
-        if not largest[begin // rows] > LARGEST:  # NaN is cast
-            cast[begin:end] = values[begin:end]
+        cast[begin:end] = values[begin:end]
 
-    over_chunks(convert, len(values), rows)
-    if len(large := largest[largest > LARGEST]):
-        raise InvalidScene(Problem(what, f"holds {large.max():g}", f"up to {LARGEST:g} for {asked}"))
+    over_chunks(convert, len(values), _rows(values))
     return cast
+
+
+def require_range(values: npt.NDArray[Any], dtype: np.dtype[Any], *, what: str, asked: str) -> None:
+    """Raise InvalidScene if dtype is float16 and a value is too large for it. what, asked: as in cast_values()."""
+    if dtype != np.float16 or not values.size:
+        return
+    rows = _rows(values)
+    largest = np.zeros(-(-len(values) // rows))
+
+    def look(begin: int, end: int) -> None:
+        largest[begin // rows] = np.abs(values[begin:end]).max()
+
+    over_chunks(look, len(values), rows)
+    if len(large := largest[largest > LARGEST]):  # NaN can be cast
+        raise InvalidScene(Problem(what, f"holds {large.max():g}", f"up to {LARGEST:g} for {asked}"))
+
+
+def _rows(values: npt.NDArray[Any]) -> int:
+    """Return the number of rows that a core converts at a time."""
+    return max(1, _CHUNK * len(values) // values.size)

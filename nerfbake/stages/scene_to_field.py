@@ -1,8 +1,8 @@
 """PlenOctree, octree, volume, field of bricks or page field -> the radiance field that ray marching reads.
 
-A field of bricks becomes a grid of bricks, with cells of two and of one voxel below it. VDB grids become nodes with a
-slot for each child, below a small octree of root tiles. The field of a page contains the values that the page's shader
-reads, so that pages can be compared with the original field.
+A field of bricks becomes a grid of bricks, with cells of two and of one voxel below it, or with scenery an octree; its
+values are not copied. VDB grids become nodes with a slot for each child, below a small octree of root tiles. The field
+of a page contains the values that the page's shader reads, so that pages can be compared with the original field.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from nerfbake.scene.radiance_field import RadianceField, leaf_box, require_field
 from nerfbake.scene.vdb import IndexGrid, VdbTree
 from nerfbake.scene.vdb_topology import VdbTopology
 from nerfbake.scene.volume import Volume
-from nerfbake.stages.brick_field_to_n3tree import build_n3tree
+from nerfbake.stages._brick_tree import tree_of_bricks
 
 _ROWS = 1 << 13  # of a tree's leaves that a core copies at a time
 
@@ -203,11 +203,12 @@ def build_field_from_bricks(bricks: BrickField) -> RadianceField:
     SH1 field of 1 leaves over 8^3 cells
     """
     bricks.require_usable()
-    if bricks.shells > 1:
-        return build_field_from_n3tree(build_n3tree(bricks))
-    cells = _brick_cells(bricks)
-    scale = bricks.resolution / (bricks.box[1] - bricks.box[0])
-    place = np.column_stack([np.diag(scale), -bricks.box[0] * scale])
+    cells = _brick_cells(bricks) if bricks.shells == 1 else _shell_cells(bricks)
+    low, high = bricks.shell_box(bricks.shells - 1)
+    scale = cells.edge / (high - low)
+    # Scenery is where its PlenOctree is, to the last bit.
+    start = -low * scale if bricks.shells == 1 else cells.edge * (-low / (high - low))
+    place = np.column_stack([np.diag(scale), start])
     return memory.kept(RadianceField(cells, bricks.values, place, leaf_box(cells), bricks.basis))
 
 
@@ -235,6 +236,16 @@ def _brick_cells(bricks: BrickField) -> Cells:
     over_chunks(fill, bricks.b, _CHUNK)
     levels = [np.maximum(bricks.top, EMPTY), blocks, smallest]
     return _cells_of_levels(levels, [(bricks.resolution // 8).bit_length() - 1, 2, 1])
+
+
+def _shell_cells(bricks: BrickField) -> Cells:
+    """Return the octree of a field with scenery, whose shells have cells of different sizes."""
+    tree = tree_of_bricks(bricks, bricks.values[:, -1] > 0)
+    memory.require("the field's cells", tree.nbytes + tree.child.nbytes)
+    slots = np.where(tree.row >= 0, -2 - tree.row, np.int32(EMPTY))
+    parents, octants = np.nonzero(tree.child)
+    slots[parents, octants] = parents + tree.child[parents, octants]
+    return cells_of(slots, [1] * (bricks.resolution.bit_length() - 1 + bricks.shells - 1))
 
 
 _EDGE = 1e-6  # colours are clamped to this distance from 0 and 1, so that the sigmoid can be inverted

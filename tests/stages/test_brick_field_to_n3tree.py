@@ -55,6 +55,14 @@ def test_halves_are_the_values_rounded(field: BrickField) -> None:
     assert_array_equal(tree.sample(lattice_points(field)), sampled(field).astype(np.float16).astype(np.float32))
 
 
+def test_a_density_that_float16_rounds_to_0_is_no_leaf() -> None:
+    field = some_brick_field()
+    field.values[3, -1] = 1e-9
+    assert np.count_nonzero(build_n3tree(field).sigma > 0) == field.n
+    tree = build_n3tree(field, dtype="float16")
+    assert np.count_nonzero(tree.data.any(axis=-1)) == field.n - 1
+
+
 def test_the_file_holds_the_same(tmp_path: Path) -> None:
     tree = build_n3tree(some_brick_field())
     save(tmp_path / "a.npz", tree)

@@ -23,7 +23,13 @@ from nerfbake import (
     render_field,
     save,
 )
-from tests.support.brick_fields import brick_fields, lattice_points, sampled, some_brick_field
+from tests.support.brick_fields import (
+    brick_fields,
+    lattice_points,
+    sampled,
+    some_brick_field,
+    some_shelled_field,
+)
 
 
 @given(brick_fields())
@@ -72,3 +78,11 @@ def test_wide_cells_stay_whole() -> None:
     assert direct.values is field.values
     widths = {float(width) for width in direct.cells.width}
     assert {1.0, 2.0} <= widths
+
+
+@pytest.mark.parametrize("shells", [2, 6])
+def test_scenery_looks_like_its_tree_and_keeps_its_values(shells: int) -> None:
+    field = some_shelled_field(shells=shells, basis=4)
+    direct, of_tree = build_field(field), build_field(build_n3tree(field))
+    assert direct.values is field.values  # a copy is a third of the memory with which a fit ends
+    assert_array_equal(pictures(direct, of_tree), pictures(of_tree, of_tree))
