@@ -26,6 +26,7 @@ from nerfbake.kernels.maths.elementary import fibonacci
 from nerfbake.scene.comparison import Comparison
 from nerfbake.stages.stage1_to_atlas import AtlasError
 from tests.support.meshes import cube
+from tests.support.peaks import resident
 
 
 def test_what_is_lent_comes_back() -> None:
@@ -120,3 +121,12 @@ def test_stages_ask_before_they_allocate(what: str, stage: Callable[[], object],
         stage()
     with memory.memory_limit(4 * limit):
         stage()
+
+
+def test_freed_memory_between_arrays_that_stay_is_given_back() -> None:
+    arrays = [np.ones(100 << 10, np.uint8) for _ in range(400)]
+    kept, before = arrays[::20], resident()
+    del arrays
+    memory.give_back()
+    assert before - resident() > 20 << 20
+    assert len(kept) == 20

@@ -39,8 +39,9 @@ _AHEAD = 8  # most pictures that are prepared for a graphics device at once
 class Look(NamedTuple):
     """A look at a picture.
 
-    view: its number; scale, samples, ring: as in ray_targets(). again: the same pixels come later. tilt: of the rays of
-    a pixel, see pinhole_directions(); rays through a lens have none.
+    view: its number; scale, samples, ring: as in ray_targets(). again: the same pixels come later in this stage.
+    Between stages, new cells need the memory. tilt: of the rays of a pixel, see pinhole_directions(); rays through a
+    lens have none.
     """
 
     view: int
@@ -136,6 +137,7 @@ class CpuFit:
 
     def rest(self) -> None:
         self._batch = None
+        memory.give_back()
 
     def read_back(self, cells: BrickCells) -> None:
         pass

@@ -54,16 +54,17 @@ class KeptTargets:
         self._room, self.size = memory.left() // _SHARE, 0
 
     def of(self, view: int, *, scale: int, samples: int, keep: bool, tilt: float = 0.0) -> RayTargets:
-        """Return the targets of a view. keep: they will be asked for again. tilt: as in pinhole_directions()."""
+        """Return the targets of a view. keep: until they are asked for again. tilt: as in pinhole_directions()."""
         if scale != self._scale:
             self._kept, self.size, self._scale = {}, 0, scale
-        pixels = self._kept.get(view)
+        pixels = self._kept.pop(view, None)
         if pixels is None:
             pixels = used_pixels(self._views, view, scale, self._ring)
-            size = pixels.numbers.nbytes + pixels.targets.nbytes
-            if keep and self.size + size <= self._room:
-                self._kept[view] = pixels
-                self.size += size
+        else:
+            self.size -= pixels.size
+        if keep and self.size + pixels.size <= self._room:
+            self._kept[view] = pixels
+            self.size += pixels.size
         return _with_rays(pixels, samples, tilt)
 
     def give_up(self) -> None:
@@ -77,6 +78,11 @@ class UsedPixels(NamedTuple):
     camera: Camera
     numbers: npt.NDArray[np.int32]
     targets: Singles
+
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+        return self.numbers.nbytes + self.targets.nbytes
 
 
 def used_pixels(views: Views, view: int, scale: int, ring: int | None) -> UsedPixels:

@@ -71,6 +71,8 @@ def test_targets_are_computed_once_as_long_as_they_fit(views: Views, monkeypatch
     assert visited(kept) == [0, 1, 2]
     assert visited(kept) == []
     assert kept.size == 3 * 24 * 16 * 20
+    assert (visited(kept, keep=False), kept.size) == ([], 0)
+    assert visited(kept) == [0, 1, 2]
     kept.give_up()
     assert visited(kept) == [0, 1, 2]
     assert (visited(kept), kept.size) == ([0, 1, 2], 0)
