@@ -83,7 +83,7 @@ def saving(
     """save() as a context manager: the block can check the output before it replaces the target.
 
     If the block raises BudgetMissed, the output becomes TARGET.rejected and the target is unchanged. After any other
-    error the output is deleted.
+    error the output is deleted. While the block runs, nothing here keeps the scene.
     """
     form = format_for(target, type(scene).__name__, to=to)
     form.require_options(options)
@@ -95,6 +95,7 @@ def saving(
                 yield saved
             return
     pieces = form.load_module().encode(scene, **options)
+    del scene
     if form.suffix.endswith(COMPRESSED):
         pieces = load_compression().compress(pieces)
     if str(target) == STREAM:
@@ -106,6 +107,7 @@ def saving(
         with replacing_file(Path(target), force=force) as path:
             with open(path, "wb") as file:
                 size = _write_all(file, pieces)
+            del pieces
             yield PendingFile(str(path), {"": size})
 
 

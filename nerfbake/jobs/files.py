@@ -170,6 +170,7 @@ class Target(NamedTuple):
         saving = io.saving(self.path, scene, to=self.to, force=self.force, **self._given(options))
         with _written(steps, self.path, saving) as saved:
             steps.say(f"{self.name}: {scene}, {saved.size:,} bytes")
+            del scene  # the block may need its memory
             yield saved
 
     def _given(self, options: dict[str, Any]) -> dict[str, Any]:

@@ -448,12 +448,14 @@ def _judged(
             loaded: io.Loaded[Any] = io.load_with_format(written.path)
         read = loaded.scene if up is None else loaded.scene.without_up(up)
         scene = read if isinstance(read, Meshes | Splats) else build_field(read)
-        if (start := origin_of(read)).any():  # a reader may choose another one than the fit did
+        content, size, start = str(loaded.scene), loaded.size, origin_of(read)
+        del loaded, read  # a tree is nearly as large as its field
+        if start.any():  # a reader may choose another one than the fit did
             near = held_out.cameras.relative_to(start - held_out.cameras.origin)
             held_out = replace(held_out, cameras=near)
         views = measure_views(scene, held_out, samples=samples, render=renderer_with(steps, run.gpu))
         shapes = measure_silhouettes(scene, held_out) if isinstance(scene, Meshes) else ()
-    facts = target.path, str(loaded.scene), loaded.size, str(schedule), run.device
+    facts = target.path, content, size, str(schedule), run.device
     fitted = FitResult(*facts, views, worked, passed, tuple(run.curve), *run.shared)
     io.report_result(psnr=fitted.psnr)
     corrected = f" ({fitted.corrected:.2f} dB with their exposures corrected)" if options.gains(held_out) else ""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import weakref
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from nerfbake import N3Tree, Stage1, load
+from nerfbake import N3Tree, Stage1, build_octree, load, sample_n3tree
 from nerfbake.errors import InvalidFile, InvalidScene, UsageError
 from nerfbake.jobs import (
     Source,
@@ -45,6 +48,16 @@ def test_stdout_is_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         with pytest.raises(UsageError, match=r"^stdout takes one file; allowed: a folder$"):
             write("-")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["freed.npz", "freed.svo.pb.zst"])
+def test_what_is_written_may_be_freed_before_it_is_measured(name: str, tmp_path: Path) -> None:
+    scene: Any = sample_n3tree(resolution=8) if name == "freed.npz" else build_octree(sample_n3tree(resolution=8))
+    alive = weakref.ref(scene)
+    with ExitStack() as output:
+        output.enter_context(as_target(str(tmp_path / name)).writing(SILENT, scene))
+        del scene
+        assert alive() is None
 
 
 @pytest.mark.usefixtures("folder")
