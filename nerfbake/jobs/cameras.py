@@ -127,6 +127,8 @@ def _lost(cameras: Cameras, form: Any) -> Iterator[str]:
             yield f"warning: the principal points are left out, up to {off:.2g} px from the middle of the picture"
     elif isinstance(form, catalog.Format) and cameras.points is not None:
         yield f"{plural(len(cameras.points), 'point')} left out"
+    if isinstance(form, catalog.Format) and (misread := getattr(form.load_module(), "misread_lenses", None)):
+        yield from misread(cameras)
 
 
 def _skew(camera: Camera) -> float:

@@ -200,6 +200,30 @@ def test_what_has_no_place_is_said(tmp_path: Path, listener: Listener) -> None:
     assert not (tmp_path / "m").exists()
 
 
+WIDE = Lens("fisheye", (0.01,))
+RATIONAL = Lens("rational", (0.01, 0.0, 0.0, 0.01))
+
+
+@pytest.mark.parametrize(
+    ("lenses", "said"),
+    [
+        ((None, LENSES["OPENCV"]), ""),
+        ((WIDE, Lens("fisheye", (0.02,))), ""),
+        ((WIDE, None, WIDE), "one camera_model for all frames, and takes the 2 cameras with a fisheye"),
+        ((WIDE, RATIONAL), "one camera_model for all frames, and takes the 1 camera with a fisheye"),
+        ((RATIONAL, RATIONAL), "nerfstudio does not read FULL_OPENCV, the lens of 2 cameras; nerfbake does"),
+    ],
+)
+def test_a_lens_that_nerfstudio_misreads_is_said(
+    lenses: tuple[Lens | None, ...], said: str, tmp_path: Path, listener: Listener
+) -> None:
+    cameras = (Camera(14, 10, 17.5, np.eye(4), str(i), None, lens) for i, lens in enumerate(lenses))
+    save(tmp_path / "given.json", Cameras(tuple(cameras)))
+    convert_cameras(tmp_path / "given.json", str(tmp_path / "t.json"), steps=listener)
+    warned = [line for line in listener.said if "warning" in line]
+    assert (said in "\n".join(warned)) if said else not warned
+
+
 def test_cameras_on_a_map_are_written_near_their_origin(tmp_path: Path, listener: Listener) -> None:
     made = rig(odd=True)
     poses = made.poses.copy()

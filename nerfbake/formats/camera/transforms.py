@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import json
 from codecs import BOM_UTF8
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any
@@ -277,7 +278,8 @@ def _mask_note(frames: list[Frame]) -> tuple[str, ...]:
 def encode(cameras: Cameras) -> Iterator[bytes]:
     """Encode cameras for nerfbake, instant-ngp and nerfstudio. Those that are held out are in test_frames.
 
-    Intrinsics are written once if all cameras share them, otherwise for each frame.
+    Intrinsics are written once if all cameras share them, otherwise for each frame. nerfstudio 1.1.5 reads camera_model
+    beside the frames only, and without it takes all of them for perspective: a common one is also written there.
     """
     fields = [_fields(camera) for camera in cameras.cameras]
     alike = all(each == fields[0] for each in fields)
@@ -289,13 +291,15 @@ def encode(cameras: Cameras) -> Iterator[bytes]:
         }
         for camera, each in zip(cameras.cameras, fields, strict=True)
     ]
+    models = {each.get("camera_model") for each in fields}
+    common = {"camera_model": models.pop()} if len(models) == 1 and None not in models else {}
     samples = {} if cameras.samples == 1 else {"samples": cameras.samples}
     split: dict[str, Any] = {**_world_fields(cameras.world), "frames": frames}
     if 0 < len(cameras.held_out) < len(frames):
         held_out = set(cameras.held_out)
         split["frames"] = [frame for i, frame in enumerate(frames) if i not in held_out]
         split["test_frames"] = [frames[i] for i in cameras.held_out]
-    yield json.dumps({**samples, **(fields[0] if alike else {}), **split}, indent=1).encode() + b"\n"
+    yield json.dumps({**samples, **(fields[0] if alike else common), **split}, indent=1).encode() + b"\n"
 
 
 def _fields(camera: Camera) -> dict[str, Any]:
@@ -307,6 +311,22 @@ def _fields(camera: Camera) -> dict[str, Any]:
     unit = np.pi if camera.lens is not None and camera.lens.all_round else 1.0
     fields |= {"w": camera.width, "h": camera.height, "fl_x": unit * camera.fx, "fl_y": unit * camera.fy}
     return fields | {"cx": camera.cx, "cy": camera.cy} | lens_fields(camera.lens)
+
+
+def misread_lenses(cameras: Cameras) -> Iterator[str]:
+    """Yield a line for lenses that nerfbake reads, and nerfstudio 1.1.5 does not or takes for others.
+
+    nerfstudio has no rational lens. It reads one camera_model for all frames, and without it they are perspective.
+    """
+    models = Counter("polynomial" if camera.lens is None else camera.lens.model for camera in cameras.cameras)
+    if rational := models.pop("rational", 0):
+        yield f"warning: nerfstudio does not read FULL_OPENCV, the lens of {plural(rational, 'camera')}; nerfbake does"
+    wide = models.total() - models["polynomial"]
+    if wide and (rational or sum(map(bool, models.values())) > 1):
+        yield (
+            "warning: nerfstudio reads one camera_model for all frames, and takes the "
+            f"{plural(wide, 'camera')} with a fisheye or equirectangular picture for perspective; nerfbake does not"
+        )
 
 
 def _sized(fields: Fields, frame: Fields) -> bool:

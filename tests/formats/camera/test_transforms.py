@@ -105,6 +105,22 @@ def test_cameras_of_different_kinds_are_written_each_with_its_own() -> None:
         assert (one.width, one.height) == (other.width, other.height)
 
 
+@pytest.mark.parametrize("lens", [Lens("fisheye", (0.1,)), Lens("equirectangular"), Lens("polynomial", (0.1,))])
+def test_a_model_that_all_cameras_share_is_where_nerfstudio_reads_it(lens: Lens) -> None:
+    """Beside the frames: nerfstudio 1.1.5 takes fisheyes for perspective if only their frames have a camera_model."""
+    sizes = ((40, 20), (60, 30))
+    made = Cameras(tuple(Camera(w, h, (w / 2 / np.pi, h / np.pi), np.eye(4), str(w), None, lens) for w, h in sizes))
+    (data,) = cameras_json.encode(made)
+    written = json.loads(data)
+    assert written["camera_model"] in ("OPENCV_FISHEYE", "EQUIRECTANGULAR", "OPENCV")
+    assert {frame["camera_model"] for frame in written["frames"]} == {written["camera_model"]}
+    assert [camera.lens for camera in cameras_json.decode(memoryview(data)).cameras] == [lens, lens]
+    pinhole = Camera(40, 20, 20.0, np.eye(4), "pinhole")
+    (data,) = cameras_json.encode(Cameras((*made.cameras, pinhole)))
+    assert "camera_model" not in json.loads(data)
+    assert [camera.lens for camera in cameras_json.decode(memoryview(data)).cameras] == [lens, lens, None]
+
+
 def test_the_middle_of_the_middle_pixel_looks_ahead() -> None:
     (camera,) = read(capture(w=5, h=3)).cameras
     place, directions = camera.rays()
