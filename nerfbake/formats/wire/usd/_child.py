@@ -192,6 +192,8 @@ class _Reader:
     def _prim(self, prim: Any, kind: str) -> dict[str, Any]:
         values = {name: self._value(prim.GetAttribute(name)) for name in _VALUES[kind]}
         place = self._places.GetLocalToWorldTransform(prim)
+        if self._changes(prim, kind):
+            self._leave("later times")
         told = {
             "path": str(prim.GetPath()),
             "kind": kind,
@@ -199,6 +201,16 @@ class _Reader:
             "values": {name: value for name, value in values.items() if value is not None},
         }
         return {**told, **self._looks(prim)} if kind == MESH else told
+
+    def _changes(self, prim: Any, kind: str) -> bool:
+        """True if a prim moves, also with a prim above it, or if what is read of it has values of several times."""
+        from pxr import UsdGeom
+
+        values = (prim.GetAttribute(name) for name in _VALUES[kind])
+        if any(value and value.ValueMightBeTimeVarying() for value in values):
+            return True
+        stands = (UsdGeom.Xformable(self._stage.GetPrimAtPath(path)) for path in prim.GetPath().GetPrefixes())
+        return any(each and each.TransformMightBeTimeVarying() for each in stands)
 
     def _value(self, attribute: Any) -> Any:
         return self._arrays.add(attribute.Get(self._time)) if attribute else None

@@ -108,7 +108,9 @@ def _unpacked(view: memoryview) -> tuple[dict[str, memoryview], dict[str, memory
 def _notes(left_out: Mapping[str, int]) -> Iterator[str]:
     if hidden := left_out.get("hidden", 0):
         yield f"hidden prims are not read: {hidden:,}"
-    others = sorted(kind for kind in left_out if kind != "hidden")
+    if later := left_out.get("later times", 0):
+        yield f"prims that move or change are read at the first time only: {later:,}"
+    others = sorted(kind for kind in left_out if kind not in ("hidden", "later times"))
     if others:
         told = ", ".join(f"{left_out[kind]:,} {kind}" for kind in others[:5])
         yield f"prims of these types are not read: {told}"

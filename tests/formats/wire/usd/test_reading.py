@@ -80,6 +80,27 @@ def test_what_is_hidden_and_other_types_are_left_out_with_a_note() -> None:
     assert found.notes == ("hidden prims are not read: 2", "prims of these types are not read: 1 Sphere")
 
 
+@here
+@pytest.mark.parametrize("moved", ["the prim", "a prim above", "a value"])
+def test_what_moves_is_read_at_its_first_time_with_a_note(moved: str) -> None:
+    """As Blender writes a camera with keyframes. What has one time only, as its other values, does not move."""
+
+    def move(*times: int) -> str:
+        places = ", ".join(f"{time}: ({time}, 0, 0)" for time in times)
+        order = 'uniform token[] xformOpOrder = ["xformOp:translate"]'
+        return f"double3 xformOp:translate.timeSamples = {{{places}}}\n{order}\n"
+
+    lenses = "1: 20, 2: 30" if moved == "a value" else "1: 20"
+    camera = f'def Camera "c"\n{{\nfloat focalLength.timeSamples = {{{lenses}}}\n'
+    camera += move(*((1, 2) if moved == "the prim" else (1,))) + "}"
+    above = move(*((1, 2) if moved == "a prim above" else (1,)))
+    found = read(layer(f'def Xform "x"\n{{\n{above}{camera}\ndef Camera "still"\n{{\n}}\n}}'))
+    assert [prim.place[0, 3] for prim in found.prims] == [2, 1]
+    assert found.prims[0].values["focalLength"] == 20
+    count = 2 if moved == "a prim above" else 1
+    assert found.notes == (f"prims that move or change are read at the first time only: {count}",)
+
+
 # -- what is refused -------------------------------------------------------------------------------------------
 @here
 def test_no_file_outside_is_opened(tmp_path: Path) -> None:
