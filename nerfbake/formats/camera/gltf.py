@@ -4,7 +4,7 @@ The matrix of a node is camera to world in OpenGL's axes, x right, y up, looking
 perspective.yfov in radians and a picture of the height h, fy = h / (2 tan(yfov / 2)). aspectRatio is width / height of
 the picture, and pixels are square. The file has no sizes: a picture beside it that is named as the node or the camera
 gives one, else 800 pixels along the height are assumed. If that picture has another shape than aspectRatio, pixels are
-not square, and a note says so.
+not square, and a note says so. Cameras that an animation moves are read where their nodes are, with a note.
 Source: glTF 2.0, section 3.10.
 """
 
@@ -36,7 +36,7 @@ def recognise(name: str, head: bytes) -> bool:
 def decode(files: CaptureFolder, *, name: str) -> Cameras:
     view = files[name]
     document = Document(view if bytes(view[:4]) == b"glTF" else _packed(view))
-    album, posed, others, unsized, oblong = Album(files), [], 0, 0, 0
+    album, posed, nodes, others, unsized, oblong = Album(files), [], list[int](), 0, 0, 0
     for index, key, matrix in placed_nodes(document, "camera"):
         place, camera = f"cameras[{key}]", document.item("cameras", key)
         if camera.get("type") != "perspective":
@@ -59,6 +59,7 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
             raise InvalidFile(Problem(f"{place}.perspective.aspectRatio", f"is {ratio:g}", "0.001 to 1,000"))
         oblong += found is not None and abs(width / (height * ratio) - 1) > _SQUARE
         posed.append(Posed(label, picture, matrix, (width, height), (focal * width / (height * ratio), focal)))
+        nodes.append(index)
         require_count(len(posed), name)
     if not posed:
         raise InvalidFile(Problem(name, "has no node with a perspective camera", "one or more"))
@@ -71,7 +72,29 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
     if oblong:
         told = "have another aspectRatio than their pictures, so that pixels are not square"
         notes.append(f"{oblong:,} of {plural(len(posed), 'camera')} {told}")
+    if animated := len(_animated(document).intersection(nodes)):
+        notes.append(f"animations are not read, which move {animated:,} of {plural(len(posed), 'camera')}")
     return cameras_of(posed, dialect="glTF", source=name, notes=notes)
+
+
+def _animated(document: Document) -> set[int]:
+    """Return the nodes that an animation moves, and all nodes below them. Those that do not exist are skipped."""
+    count = len(document.root["nodes"])
+    animations = _objects(document.root.get("animations"))
+    channels = [channel for each in animations for channel in _objects(each.get("channels"))]
+    targets = _objects([channel.get("target") for channel in channels])
+    waiting = [target.get("node") for target in targets if target.get("path") != "weights"]
+    found: set[int] = set()
+    while waiting:
+        index = waiting.pop()
+        if type(index) is int and 0 <= index < count and index not in found:
+            found.add(index)
+            waiting += document.item("nodes", index).get("children", [])
+    return found
+
+
+def _objects(entries: Any) -> list[dict[str, Any]]:
+    return [each for each in entries if isinstance(each, dict)] if isinstance(entries, list) else []
 
 
 def _packed(view: memoryview) -> memoryview:

@@ -352,6 +352,27 @@ def test_yfov_is_that_of_the_height(made: Rig, tmp_path: Path) -> None:
     assert read.notes == ("3 of 3 cameras tell no size of a picture; 800 pixels along the height are assumed",)
 
 
+def test_cameras_that_an_animation_moves_are_noted(made: Rig, tmp_path: Path) -> None:
+    """As Blender writes a camera with keyframes; its node has the pose of one frame."""
+    file = tmp_path / tools.write_gltf(tmp_path, made)
+    document = json.loads(file.read_text())
+    cameras = [index for index, node in enumerate(document["nodes"]) if "camera" in node]
+    document["nodes"].append({"children": [cameras[1]]})
+    above = len(document["nodes"]) - 1
+    roots = document["scenes"][0]["nodes"]
+    document["scenes"][0]["nodes"] = [above if index == cameras[1] else index for index in roots]
+    for targets, count in (
+        ([], 0),
+        ([{"node": cameras[0], "path": "weights"}, {"node": 99, "path": "scale"}, {"node": [0], "path": "scale"}], 0),
+        ([{"node": cameras[0], "path": "rotation"}], 1),
+        ([{"node": cameras[0], "path": "rotation"}, {"node": above, "path": "translation"}, {"path": "scale"}], 2),
+    ):
+        document["animations"] = [{"channels": [{"sampler": 0, "target": target} for target in targets]}]
+        file.write_text(json.dumps(document))
+        said = (f"animations are not read, which move {count} of 3 cameras",) if count else ()
+        assert load(file, Cameras).notes[1:] == said
+
+
 def test_an_aspect_ratio_other_than_that_of_the_picture_is_noted(made: Rig, tmp_path: Path) -> None:
     """As trimesh writes it, which divides the angles."""
     file = tmp_path / tools.write_gltf(tmp_path, made)
