@@ -94,6 +94,7 @@ _OF_INNER_CUBE = ("Meshes", "Splats")  # types of scene that store only the inne
 _FEW = 20  # views of scenery
 _AGREEMENT = 0.12  # of depths, below which poses are probably wrong (docs/tuning.md, "Depths and wrong poses")
 _CHECK = "check that the poses belong to these pictures, in this order, and are not mirrored"
+_MASKS = "; an object before a dark or changing background needs `masks`"
 _POOR = 4.0  # dB above pictures of a single colour
 
 
@@ -464,5 +465,6 @@ def _judged(
     seen = f"{fitted.psnr:.2f} dB{corrected}, SSIM {fitted.ssim:.4f}{outlines} on {held_out}{rays}"
     steps.say(f"{target.path}: {seen}; after {worked:.0f} CPU seconds, {passed:.0f} seconds")
     if fitted.psnr < (plain := plain_psnr(held_out)) + _POOR:
-        steps.say(f"{target.path}: a poor fit; pictures of a single colour have {plain:.2f} dB; {_CHECK}")
+        advice = _CHECK + (_MASKS if held_out.scenery else "")
+        steps.say(f"{target.path}: a poor fit; pictures of a single colour have {plain:.2f} dB; {advice}")
     return fitted

@@ -173,7 +173,8 @@ def sees(camera: Camera, centre: Points, width: Floats | float) -> Bits:
 def inner_cube_of(cameras: Cameras) -> Points:
     """Return a cube (2, 3) around the point that the cameras look at, as wide as they are away from it.
 
-    Around cameras whose pictures show all directions, if there are any.
+    Pictures of long lenses show less there: the cube is then as wide as what their longer edges show. Around cameras
+    whose pictures show all directions, if there are any.
     """
     eyes = cameras.eyes
     if any(camera.lens is not None and camera.lens.all_round for camera in cameras.cameras):
@@ -181,7 +182,8 @@ def inner_cube_of(cameras: Cameras) -> Points:
     spread = float(np.sqrt(np.square(eyes - eyes.mean(axis=0)).sum(axis=1).max()))
     ahead = (eyes + spread * cameras.axes).mean(axis=0)  # where cameras with parallel axes look at
     centre = cameras.looked_at(towards=ahead, pull=1e-2 * len(eyes))
-    half = _median_distance(eyes, centre) / 2
+    slopes = [max(camera.width / camera.fx, camera.height / camera.fy) / 2 for camera in cameras.cameras]
+    half = _median_distance(eyes, centre) * min(0.5, float(np.median(slopes)))
     if not half > 0:
         raise InvalidScene(Problem("the cameras", "are all at the same place", "two places or more, or `box`"))
     return np.stack([centre - half, centre + half])

@@ -19,7 +19,7 @@ from nerfbake.scene.schedule import parse_schedule, scenery_schedule
 from nerfbake.stages._bricks import cell_places, cells_of_solid, field_of_cells
 from nerfbake.stages._fit_state import FitState
 from nerfbake.stages._ray_targets import ray_targets
-from nerfbake.stages._scenery import focus_distance, start_scenery
+from nerfbake.stages._scenery import focus_distance, inner_cube_of, start_scenery
 from nerfbake.stages.views_to_error import plain_psnr
 from tests.support.brick_fields import BOX, some_shelled_field, some_shells
 
@@ -276,6 +276,17 @@ def test_cameras_at_one_place_need_a_box() -> None:
     views = Views(still, (np.full((16, 16, 4), 255, np.uint8),) * 4, WHITE, False, scenery=True)
     with pytest.raises(InvalidScene, match="the cameras are all at the same place; allowed: two places or more"):
         next(iter(fit_field(views, schedule=SCHEDULE)))
+
+
+@pytest.mark.parametrize(("focal", "edge"), [(8.0, 1.6), (14.0, 1.6), (16.0, 1.6), (32.0, 0.8)])
+def test_the_inner_cube_of_long_lenses_is_as_wide_as_what_they_show(focal: float, edge: float) -> None:
+    posed = cameras(6, 16)
+    lenses = [
+        replace(camera, focal=(focal, focal), width=12 if i % 2 else 16) for i, camera in enumerate(posed.cameras)
+    ]
+    box = inner_cube_of(Cameras(tuple(lenses)))
+    assert_allclose(box[1] - box[0], edge, rtol=0.04)  # the cameras are 1.6 from the middle
+    assert_allclose(box.mean(axis=0), 0, atol=0.05)
 
 
 @pytest.mark.parametrize("times", [1, 1.5])
