@@ -55,12 +55,14 @@ class Effort(NamedTuple):
 
     edge        pixels: larger pictures are shrunk to this edge before features are searched
     features    of a picture: the largest are kept; pycolmap keeps up to half as many more, of two directions each
+    affine      True: features are ellipses, which look alike in pictures from farther apart; in the same time
     growth      of the model, in pictures or points, until everything is adjusted again
     rounds      of adjusting and of dropping what does not fit
     """
 
     edge: int
     features: int
+    affine: bool
     growth: float
     rounds: int
 
@@ -68,8 +70,8 @@ class Effort(NamedTuple):
 # 97 photographs of 1008x756: CPU seconds of the steps; largest error of a position after a similarity, in per cent
 #   1,000 pixels: features 49, matching 36, placing 21; 0.30
 #     800 pixels: features 25, matching 21, placing 16; 0.31
-THOROUGH = Effort(edge=1000, features=4096, growth=1.1, rounds=5)
-FAST = Effort(edge=800, features=2000, growth=1.3, rounds=2)
+THOROUGH = Effort(edge=1000, features=4096, affine=True, growth=1.1, rounds=5)
+FAST = Effort(edge=800, features=2000, affine=False, growth=1.3, rounds=2)
 
 
 class Request(NamedTuple):
@@ -208,6 +210,7 @@ def _extract(
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size, options.num_threads = effort.edge, request.threads
     options.sift.max_num_features = effort.features
+    options.sift.estimate_affine_shape = effort.affine
     some = _AT_ONCE * request.threads
     for begin in range(0, len(names), some):
         part = names[begin : begin + some]

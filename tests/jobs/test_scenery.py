@@ -101,7 +101,7 @@ def test_poses_of_other_pictures_are_told(tmp_path: Path, capfd: pytest.CaptureF
         r"room: neighbouring pictures agree on the depth of \d% of what looks .*; check that the pos", told
     )
     assert re.search(r"a poor fit; pictures of a single colour have \d+\.\d\d dB; check that the poses belong", told)
-    assert "; an object before a dark or changing background needs `masks`" in told
+    assert "; an object before a dark or changing background needs --masks" in told
 
 
 @pytest.fixture
