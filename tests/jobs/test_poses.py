@@ -501,7 +501,7 @@ def test_many_pictures_are_matched_in_their_order(
 def test_photographs_that_overlap_little_are_placed_at_once(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every sixth photograph of a walk around a toy; one after another, only a third of them can be placed."""
+    """Every sixth photograph of a walk around a toy; one after another, fewer of them can be placed."""
     capture = data / "captures" / "plush"
     run_once, found = poses._run_once, []
     for at_once in (False, True):
