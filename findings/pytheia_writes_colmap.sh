@@ -4,7 +4,7 @@
 # TheiaSfM's pinhole camera has a focal length, an aspect ratio, k1 and k2. WriteColmapFiles() makes it COLMAP's RADIAL,
 # which has one focal length, k1 and k2: the second coefficient of the file is k1 again, and the aspect ratio is left
 # out. The function returns True and prints nothing. With the numbers below, which a wide lens can have, the same point
-# is up to 29 pixels away for COLMAP. WriteNerfStudio() writes all four numbers of the same camera.
+# is almost 30 pixels away for COLMAP. WriteNerfStudio() writes all four numbers of the same camera.
 # Guess: k1 and k2 arrive in their places, and a camera with two focal lengths is refused or becomes an OPENCV.
 #
 # Seen on 2026-11-28 (800 x 600 pixels; the last number is the distance between both projections of a point, in pixels):
@@ -13,7 +13,7 @@
 #   both: f 700 630, k1 0.1, k2 -0.05 -> 0 RADIAL 800 600 700 410 290 0.1 0.1, 29.5
 #   transforms.json of the last one: fl 700 630, k1 0.1, k2 -0.05
 #
-# nerfbake reads no project of TheiaSfM, so take its transforms.json. nerfbake writes OPENCV for two focal lengths.
+# nerfbake reads the transforms.json of such a camera, and writes a lens with two focal lengths as OPENCV for COLMAP.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
