@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# 3dgs-edit-tools 0.3.0: splats that go through its table and back come out in other colours, although nobody edits them.
+# 3dgs-edit-tools 0.3.0: splats that go through its table and back have other colours, although nobody edits them.
 #
 # 3dgs-to-csv maps the base colours of a scene, from the lowest coefficient to the highest, to 0..1 for those who edit
 # them, and writes neither number into the table. csv-to-3dgs maps 0..1 to -3..3, so the contrast of each scene
@@ -23,8 +23,8 @@ trap 'rm -rf "$folder"' EXIT
 cp "$(dirname "$0")/splat_rows.py" "$folder"
 cd "$folder"
 python3 -m venv venv
-venv/bin/pip install -q --disable-pip-version-check 3dgs-edit-tools==0.3.0 numpy==2.4.6 pandas==2.3.3 matplotlib==3.10.7 \
-  open3d-cpu==0.20.0 2>/dev/null
+venv/bin/pip install -q --disable-pip-version-check 3dgs-edit-tools==0.3.0 numpy==2.4.6 pandas==2.3.3 \
+  matplotlib==3.10.7 open3d-cpu==0.20.0 2>/dev/null
 cat >scenes.py <<'PYTHON'
 import numpy as np
 from splat_rows import NAMES, write

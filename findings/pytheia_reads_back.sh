@@ -6,7 +6,7 @@
 # file as it was meant. ImportNVMFile() takes the inverse: a camera that looks 20 degrees to the right looks 20 degrees
 # to the left, from the right place. Both functions return True. A test with one camera at the origin finds nothing.
 # ReadBundlerFiles() has the rotations right, but each pixel that a point was seen at is cut off to a whole number,
-# although the file has 12 digits. So a scene without any error has one of more than a pixel, before anything is adjusted.
+# although the file has 12 digits. So a scene without any error gets one of more than a pixel.
 # Guess: what pytheia writes, it reads as it was, within the digits of the file.
 #
 # Seen on 2026-11-28 (how far each camera is turned to the right, in degrees; the largest distance between a point's
@@ -23,7 +23,7 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 python3 -m venv venv
-venv/bin/pip install -q --disable-pip-version-check pytheia==1.2.1 kapture==1.1.12 numpy==2.4.6 pillow==12.0.0 2>/dev/null
+venv/bin/pip install -q --disable-pip-version-check pytheia==1.2.1 kapture==1.1.12 numpy==2.4.6 pillow 2>/dev/null
 venv/bin/python - <<'PYTHON' 2>log
 import subprocess
 from math import atan2, degrees, radians
