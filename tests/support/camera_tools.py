@@ -269,12 +269,12 @@ def write_bundler(folder: Path, made: Rig) -> str:
     return placed(folder, "bundle.out", "\n".join(lines) + "\n")
 
 
-def write_nvm(folder: Path, made: Rig, r: float = 0.0) -> str:
+def write_nvm(folder: Path, made: Rig, r: float = 0.0, seen: str = "2 0 5 9.5 4.25 2 6 1 2") -> str:
     lines = ["NVM_V3", "", f"{len(made.poses)}"]
     for name, pose in zip(made.names, made.poses, strict=True):
         turn, _ = world_to_camera(pose)
         lines.append(f"images/{name}.png\t{made.fx!r} {numbers(quaternion(turn))} {numbers(pose[:3, 3])} {r!r} 0")
-    lines += ["", "1", f"{numbers(POINT)} 1 2 3 2 0 5 9.5 4.25 2 6 1 2", "0"]
+    lines += ["", "1", f"{numbers(POINT)} 1 2 3 {seen}", "0"]
     return placed(folder, "scan.nvm", "\n".join(lines) + "\n")
 
 

@@ -4,15 +4,17 @@ NVM_V3
 N, then N lines: name f qw qx qy qz cx cy cz r 0     world to camera, OpenCV's axes; (cx, cy, cz) is the CENTRE
 P, then P lines: x y z r g b n, then n times: camera, feature, x, y
 
-The principal point is the middle of the picture, and the file has no sizes: they come from the pictures. r is -k1, and
-the places of points count from the corner. VisualSFM's own manual defines r in the other direction and the places from
-the middle; no file of its own was found, so a note says it where the two differ. Only the first model is read.
-Source: 0.61 pixels on 36,854 observations of a real file; with the manual's formula 1.13.
+The principal point is the middle of the picture, and the file has no sizes: they come from the pictures. r is -k1.
+VisualSFM's own manual defines r in the other direction; no file of its own was found, so a note says it where the two
+differ. The places of points count from the corner, or from the middle, as the manual and TheiaSfM have it: then three
+of four have a number below 0, and a note says so. Only the first model is read.
+Source: 0.61 pixels on 36,854 observations of a real file; with the manual's formula 1.13; a file of pytheia 1.2.1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,6 +30,7 @@ from nerfbake.scene.sparse_points import SparsePoints
 _MARK = "NVM_V3"
 _NUMBERS = 10  # of a camera, after its name
 _UNCLEAR = 0.05  # a larger r means something else in the manual of VisualSFM
+_OUTSIDE = 0.1  # of the places, left of or above the corner: more of them count from the middle
 _MAX_LINE = 1 << 20
 _POINT = 400  # bytes of memory of a point
 
@@ -63,7 +66,11 @@ def decode(files: CaptureFolder, *, name: str) -> Cameras:
     if largest > _UNCLEAR:
         told = "r is read as -k1, as COLMAP writes it; VisualSFM's manual defines it the other way round"
         notes = (*notes, f"the lenses bend by up to r = {largest:.3g}: {told}")
-    return cameras_of(posed, dialect="NVM", source=name, notes=notes, points=_points(lines, count, name))
+    points = _points(lines, count, name)
+    if points is not None and (points.pixel < 0).any(axis=1).sum() > _OUTSIDE * len(points.pixel):
+        points = replace(points, pixel=points.pixel + np.array(sizes)[points.camera] / 2)
+        notes = (*notes, "places of points below 0: they count from the middle of a picture, as in VisualSFM's manual")
+    return cameras_of(posed, dialect="NVM", source=name, notes=notes, points=points)
 
 
 def _next(lines: Iterator[tuple[int, str]], name: str) -> tuple[int, str]:

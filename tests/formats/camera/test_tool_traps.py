@@ -204,6 +204,20 @@ def test_r_of_an_nvm_is_minus_k1_and_that_is_said(tmp_path: Path, made: Rig) -> 
     assert read.points.pixel.tolist() == [[9.5, 4.25], [1, 2]]
 
 
+def test_places_of_an_nvm_may_count_from_the_middle_downwards(tmp_path: Path, made: Rig) -> None:
+    """TheiaSfM writes them so; COLMAP, whose file the test above has, counts from the corner."""
+    plain = tools.kept_by("nvm", made)
+    write_pictures(tmp_path / "images", plain)
+    seen = "3 0 5 2.5 -0.75 2 6 -6 -3 1 7 1.5 2.5"
+    read = load(tmp_path / tools.write_nvm(tmp_path, plain, seen=seen), Cameras)
+    assert any("count from the middle of a picture" in note for note in read.notes)
+    assert read.points is not None
+    middle = np.array([plain.width, plain.height]) / 2
+    assert (read.points.pixel - middle).tolist() == [[2.5, -0.75], [-6, -3], [1.5, 2.5]]
+    plainly = load(tmp_path / tools.write_nvm(tmp_path, plain, seen="0"), Cameras)
+    assert (plainly.notes, plainly.points is not None) == ((), True)
+
+
 def test_places_of_bundler_count_from_the_middle_upwards(tmp_path: Path, made: Rig) -> None:
     plain = tools.kept_by("bundler", made)
     write_pictures(tmp_path / "images", plain)
