@@ -43,7 +43,7 @@ _VIEW = np.dtype(  # the record `View` of view.wgsl
         ("tie", "f4"),
         ("tie_edge", "f4"),
         ("coefficient", "u4"),
-        ("spare", "u4"),
+        ("depth", "f4"),
     ]
 )
 _RECORDS = 64  # views of one call, which is as many as the buffer of records has
@@ -65,7 +65,7 @@ class Pixels(NamedTuple):
 
     numbers (m,): in the picture, in an order in which neighbours are close. targets (m, 4): colour over the background
     (3,), and alpha. eye (3,), turn (3, 3): the axes of the camera in the world, as columns. optics: fx, fy, cx, cy.
-    width: of the picture.
+    width: of the picture. distances (m,): of the surface that each pixel shows, 0 if it is not known; or (0,).
     """
 
     numbers: npt.NDArray[np.int32]
@@ -75,6 +75,7 @@ class Pixels(NamedTuple):
     optics: tuple[float, float, float, float]
     width: int
     background: tuple[float, float, float]
+    distances: Singles
 
 
 class Losses(NamedTuple):
@@ -86,6 +87,7 @@ class Losses(NamedTuple):
     most: float = inf
     most_mean: float = inf
     alpha: float = 0.0
+    depth: float = 0.0
 
 
 class UploadedView(NamedTuple):
@@ -250,10 +252,12 @@ class FitPasses:
 
     def upload_view(self, pixels: Pixels, bent: Buffer | None = None) -> UploadedView:
         """Copy the pixels of a view to the device. bent: from upload_directions(), or None for a pinhole."""
-        words = np.empty((len(pixels.numbers), 3), np.uint32)
+        words = np.zeros((len(pixels.numbers), 4), np.uint32)
         words[:, 0] = pixels.numbers
-        words[:, 1:] = np.rint(pixels.targets * np.float32(65535)).astype(np.uint16).view(np.uint32)
-        camera = pixels._replace(numbers=pixels.numbers[:0], targets=pixels.targets[:0])
+        words[:, 1:3] = np.rint(pixels.targets * np.float32(65535)).astype(np.uint16).view(np.uint32)
+        if len(pixels.distances):
+            words[:, 3] = pixels.distances.view(np.uint32)
+        camera = pixels._replace(numbers=pixels.numbers[:0], targets=pixels.targets[:0], distances=pixels.distances[:0])
         return UploadedView(camera, len(words), self.gpu.upload(words, f"the {len(words):,} pixels of a view"), bent)
 
     def size(self) -> int:
@@ -318,6 +322,7 @@ class FitPasses:
         record["optics"], record["turn"][:, :3] = view.optics, view.turn
         record["background"][:3], record["gains"][:3] = view.background, visit.gains
         record["losses"] = losses.alpha, losses.point, losses.distortion, losses.focus
+        record["depth"] = losses.depth
         unit = _STEPS
         if steps is not None:
             key = visit.view.pixels, visit.samples

@@ -6,7 +6,7 @@ on which of the two it has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -26,6 +26,7 @@ from nerfbake.kernels.parallel import in_order, prefetched
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells
+from nerfbake.stages._depth_map import DepthMap
 from nerfbake.stages._ray_targets import KeptTargets, RayTargets, UsedPixels, ray_targets, used_pixels
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ class Visit(NamedTuple):
 class FitDevice(Protocol):
     """What runs the steps of a fit.
 
-    begin      names the views, and the looks of all visits in order
+    begin      names the views, the depths that some of them show, and the looks of all visits in order
     size       number of visits that one call should make: between two calls, the fit can be stopped. steady: the same
                number for every call, because something depends on it
     visit      makes the next visits; returns the sums (visits, SUMS) of march_view() if `counted`
@@ -78,7 +79,7 @@ class FitDevice(Protocol):
     tie        pulls the values of the cells once towards those of their neighbours; interpolated densities stay
     """
 
-    def begin(self, views: Views, looks: Iterator[Look]) -> None: ...
+    def begin(self, views: Views, depths: Mapping[int, DepthMap], looks: Iterator[Look]) -> None: ...
 
     def size(self, *, steady: bool) -> int: ...
 
@@ -107,14 +108,14 @@ class CpuFit:
         self._looks: Iterator[RayTargets] = iter(())
         self._background = np.zeros(3, np.float32)
 
-    def begin(self, views: Views, looks: Iterator[Look]) -> None:
+    def begin(self, views: Views, depths: Mapping[int, DepthMap], looks: Iterator[Look]) -> None:
         targets: KeptTargets | None = None
 
         def found() -> Iterator[RayTargets]:
             nonlocal targets
             for view, scale, samples, ring, again, tilt in looks:
                 if targets is None:
-                    targets = self._targets = KeptTargets(views, ring=ring)
+                    targets = self._targets = KeptTargets(views, ring=ring, maps=depths)
                 yield targets.of(view, scale=scale, samples=samples, keep=again, tilt=tilt)
 
         self._looks, self._background = prefetched(found()), np.array(views.background, np.float32)
@@ -188,6 +189,8 @@ def _marched(
         losses.focus,
         losses.most,
         losses.most_mean,
+        losses.depth if len(looks.distances) else 0.0,
+        looks.distances,
     )
     capacity = max(4096, len(bricks.places) // 8)
     while True:
@@ -215,8 +218,8 @@ class GpuFit:
         self._current = True  # the arrays of the cells are
         self._fresh = False
 
-    def begin(self, views: Views, looks: Iterator[Look]) -> None:
-        self._looks = _uploaded(self._passes, views, looks)
+    def begin(self, views: Views, depths: Mapping[int, DepthMap], looks: Iterator[Look]) -> None:
+        self._looks = _uploaded(self._passes, views, depths, looks)
 
     def size(self, *, steady: bool) -> int:
         return _STEADY if steady else self._passes.size()
@@ -239,7 +242,7 @@ class GpuFit:
     def measure(self, views: Views, cells: BrickCells, samples: int, losses: Losses) -> list[float]:
         if self._measured is None or self._measured[0] is not views or self._measured[1] != samples:
             looks = (Look(number, 1, samples, None, True) for number in range(len(views.pictures)))
-            seen = [view for view in _uploaded(self._passes, views, looks) if view is not None]
+            seen = [view for view in _uploaded(self._passes, views, {}, looks) if view is not None]
             self._measured = views, samples, seen
         self._upload(cells)
         seen = self._measured[2]
@@ -267,12 +270,14 @@ class GpuFit:
             self._cells, self._current = cells, True
 
 
-def _uploaded(passes: fit.FitPasses, views: Views, looks: Iterator[Look]) -> Iterator[UploadedView | None]:
+def _uploaded(
+    passes: fit.FitPasses, views: Views, depths: Mapping[int, DepthMap], looks: Iterator[Look]
+) -> Iterator[UploadedView | None]:
     """Yield the pixels of each look on the device, or None if it has none; the next ones are made in the background."""
     held: dict[Any, UploadedView | None] = {}
     bent: dict[Any, Buffer] = {}
     scale = 0
-    for look, key, made in in_order(_reductions(views, looks), most=_AHEAD):
+    for look, key, made in in_order(_reductions(views, depths, looks), most=_AHEAD):
         if look.scale != scale:
             held, scale = {}, look.scale
         if made is not None:
@@ -281,7 +286,9 @@ def _uploaded(passes: fit.FitPasses, views: Views, looks: Iterator[Look]) -> Ite
         yield None if found is None else found._replace(tilt=look.tilt)
 
 
-def _reductions(views: Views, looks: Iterator[Look]) -> Iterator[Callable[[], tuple[Look, Any, UsedPixels | None]]]:
+def _reductions(
+    views: Views, depths: Mapping[int, DepthMap], looks: Iterator[Look]
+) -> Iterator[Callable[[], tuple[Look, Any, UsedPixels | None]]]:
     """Yield the work of each look: it returns the look, a key of its pixels, and the pixels if they are new."""
     known, scale = set[Any](), 0
     for look in looks:
@@ -289,12 +296,14 @@ def _reductions(views: Views, looks: Iterator[Look]) -> Iterator[Callable[[], tu
             known, scale = set(), look.scale
         bends = views.cameras.cameras[look.view].bends
         key = look.view, look.scale, look.ring, look.samples if bends else 0
-        yield partial(_reduced, views, look, key, new=key not in known)
+        yield partial(_reduced, views, depths.get(look.view), look, key, new=key not in known)
         known.add(key)
 
 
-def _reduced(views: Views, look: Look, key: Any, *, new: bool) -> tuple[Look, Any, UsedPixels | None]:
-    return look, key, used_pixels(views, look.view, look.scale, look.ring) if new else None
+def _reduced(
+    views: Views, depths: DepthMap | None, look: Look, key: Any, *, new: bool
+) -> tuple[Look, Any, UsedPixels | None]:
+    return look, key, used_pixels(views, look.view, look.scale, look.ring, depths) if new else None
 
 
 def _upload(
@@ -306,7 +315,7 @@ def _upload(
         return None
     optics = camera.fx, camera.fy, camera.cx, camera.cy
     eye, turn = camera.pose[:3, 3].copy(), camera.pose[:3, :3].copy()
-    made = fit.Pixels(found.numbers, found.targets, eye, turn, optics, camera.width, views.background)
+    made = fit.Pixels(found.numbers, found.targets, eye, turn, optics, camera.width, views.background, found.distances)
     if not camera.bends:
         return passes.upload_view(made)
     key = camera.width, camera.height, optics, camera.lens, samples

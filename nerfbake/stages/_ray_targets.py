@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from nerfbake.kernels.dilation import dilated
 from nerfbake.kernels.fit import colours as kernels
 from nerfbake.scene.camera import Camera
 from nerfbake.scene.views import Views
+from nerfbake.stages._depth_map import DepthMap, surface_distances
 
 _SHARE = 8  # targets are kept in one part of so many of the memory that is left
 
@@ -24,12 +26,14 @@ class RayTargets(NamedTuple):
     eye         (3,) in the world
     pixels      (m,) indices into the picture, tile by tile of 8 x 8 pixels, so that neighbours are close together
     targets     (m, 4) colour over the background, and alpha
+    distances   (m,) of the surface that each pixel shows, see FitView; or (0,)
     directions  (m samples^2, 3), pixel by pixel
     """
 
     eye: Floats
     pixels: npt.NDArray[np.int32]
     targets: Singles
+    distances: Singles
     directions: Singles
 
 
@@ -48,8 +52,8 @@ class KeptTargets:
     `size`: the number of bytes that are kept, for one scale at a time.
     """
 
-    def __init__(self, views: Views, *, ring: int | None) -> None:
-        self._views, self._ring, self._scale = views, ring, 0
+    def __init__(self, views: Views, *, ring: int | None, maps: Mapping[int, DepthMap]) -> None:
+        self._views, self._maps, self._ring, self._scale = views, maps, ring, 0
         self._kept: dict[int, UsedPixels] = {}
         self._room, self.size = memory.left() // _SHARE, 0
 
@@ -59,7 +63,7 @@ class KeptTargets:
             self._kept, self.size, self._scale = {}, 0, scale
         pixels = self._kept.pop(view, None)
         if pixels is None:
-            pixels = used_pixels(self._views, view, scale, self._ring)
+            pixels = used_pixels(self._views, view, scale, self._ring, self._maps.get(view))
         else:
             self.size -= pixels.size
         if keep and self.size + pixels.size <= self._room:
@@ -73,20 +77,21 @@ class KeptTargets:
 
 
 class UsedPixels(NamedTuple):
-    """The pixels of a view that a fit uses. numbers, targets: as `pixels` and `targets` of RayTargets."""
+    """The pixels of a view that a fit uses. numbers, targets, distances: as `pixels` and so on of RayTargets."""
 
     camera: Camera
     numbers: npt.NDArray[np.int32]
     targets: Singles
+    distances: Singles
 
     @property
     def size(self) -> int:
         """Number of bytes."""
-        return self.numbers.nbytes + self.targets.nbytes
+        return self.numbers.nbytes + self.targets.nbytes + self.distances.nbytes
 
 
-def used_pixels(views: Views, view: int, scale: int, ring: int | None) -> UsedPixels:
-    """Return the pixels of ray_targets(), and the camera of the reduced view."""
+def used_pixels(views: Views, view: int, scale: int, ring: int | None, depths: DepthMap | None = None) -> UsedPixels:
+    """Return the pixels of ray_targets(), and the camera of the reduced view. depths: that the view shows."""
     camera, image = reduced_view(views, view, scale)
     if ring is not None:
         held = image[None, ..., 3] > 0
@@ -100,12 +105,14 @@ def used_pixels(views: Views, view: int, scale: int, ring: int | None) -> UsedPi
     pixels = np.empty(chosen.size, np.int32)
     found = kernels.number_pixels(np.ascontiguousarray(chosen), _tiles(camera.width, camera.height), pixels)
     pixels = pixels[:found].copy()
-    return UsedPixels(camera, pixels, image.reshape(-1, 4)[pixels])
+    distances = np.zeros(0, np.float32) if depths is None else surface_distances(depths, camera).reshape(-1)[pixels]
+    return UsedPixels(camera, pixels, image.reshape(-1, 4)[pixels], distances)
 
 
 def _with_rays(pixels: UsedPixels, samples: int, tilt: float = 0.0) -> RayTargets:
     directions = _directions(pixels.camera, pixels.numbers, samples, tilt)
-    return RayTargets(pixels.camera.pose[:3, 3].copy(), pixels.numbers, pixels.targets, directions)
+    eye = pixels.camera.pose[:3, 3].copy()
+    return RayTargets(eye, pixels.numbers, pixels.targets, pixels.distances, directions)
 
 
 def reduced_view(views: Views, view: int, scale: int) -> tuple[Camera, Singles]:

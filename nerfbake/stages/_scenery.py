@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,8 @@ from nerfbake.kernels.maths.affine import rotate
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_plan, cells_of_solid, lattice_frame
-from nerfbake.stages._scenery_depths import HALF_DIAGONAL, DepthMap, Depths, find_depths, vote
+from nerfbake.stages._depth_map import DepthMap
+from nerfbake.stages._scenery_depths import HALF_DIAGONAL, Depths, find_depths, vote
 from nerfbake.stages._scenery_points import reach_of
 
 SHELLS = 6  # with the inner cube: the outermost one is 32 times as wide as the inner cube
@@ -83,7 +85,7 @@ def focus_distance(views: Views, box: Points) -> float:
     return max(_median_distance(views.cameras.eyes, box.mean(axis=0)), float((box[1] - box[0]).mean()) / 2)
 
 
-def follow_depths(cells: BrickCells, maps: list[DepthMap], box: Points) -> BrickCells:
+def follow_depths(cells: BrickCells, maps: Collection[DepthMap], box: Points) -> BrickCells:
     """Return the cells without those that depth maps show as empty, and denser where they show a surface.
 
     box: the inner cube. Raises MemoryLimit.
@@ -142,7 +144,7 @@ def _visible(views: Views, box: Points, R: int) -> tuple[Bits, Bits, Depths]:
                 near |= seen & (away - width[shell] < reach.far[number])
             else:
                 wide |= seen
-        votes = vote(depths.maps, centre, np.full(R**3, width[shell]))
+        votes = vote(depths.maps.values(), centre, np.full(R**3, width[shell]))
         solid = ((near & (counts >= 1)) | (wide & (counts >= least))) & ~votes.empty
         solid, surface = (solid | votes.surface).reshape(R, R, R), votes.surface.reshape(R, R, R)
         if shell:

@@ -5,6 +5,7 @@ docs/tuning.md, "Depths before the fit", has the measurements.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from nerfbake.kernels.maths.affine import rotate
 from nerfbake.kernels.parallel import cores, over_chunks
 from nerfbake.scene.camera import Camera, Cameras
 from nerfbake.scene.views import Views
+from nerfbake.stages._depth_map import DepthMap
 from nerfbake.stages._ray_targets import reduced_view
 from nerfbake.stages._scenery_points import LEAST_POINTS, reach_of
 from nerfbake.stages._scenery_sky import distance_within, find_sky, upward
@@ -42,23 +44,6 @@ HALF_DIAGONAL = 0.87  # of a cell of width 1
 _FAR_STEPS = 3  # of a depth that is known; farther surfaces lie between the last few planes
 
 
-class DepthMap(NamedTuple):
-    """What a picture and its neighbours show.
-
-    camera   a pinhole
-    inverse  (H, W) inverse depths along the optical axis, of all pixels
-    known    (H, W) bool: the neighbours have the same depth here; other depths are the farthest ones around
-    step     between two planes
-    sky      (H, W) pixels to the nearest pixel that does not show the sky, or less; 0: the pixel does not
-    """
-
-    camera: Camera
-    inverse: Floats
-    known: Bits
-    step: float
-    sky: Singles
-
-
 class _Picture(NamedTuple):
     """A picture (H, W) in grey as a pinhole shows it, its pixels that are used, and those that may show the sky."""
 
@@ -69,9 +54,11 @@ class _Picture(NamedTuple):
 
 
 class Depths(NamedTuple):
-    """What pictures show together: the maps of those that share a depth with others, and how much all of them do."""
+    """What pictures show together: the maps of those that share a depth with others, by their numbers in order, and how
+    much all of them do.
+    """
 
-    maps: list[DepthMap]
+    maps: dict[int, DepthMap]
     overlap: Overlap
 
 
@@ -93,7 +80,7 @@ def find_depths(views: Views, focus: float) -> Depths:
     near, shares = zip(*(neighbours(cameras, number, ranges[number][1]) for number in range(len(cameras))), strict=True)
     alone, share = {number for number, others in enumerate(near) if not others}, sum(shares) / len(cameras)
     if edge < _LEAST_EDGE:
-        return Depths([], Overlap(share, None, tuple(alone)))
+        return Depths({}, Overlap(share, None, tuple(alone)))
     factor = -(-edge // (_EDGE if len(cameras) <= _MANY else _EDGE_OF_MANY))
     pixels = sum(-(-camera.width // factor) * -(-camera.height // factor) for camera in cameras)
     memory.hold(f"depths of {len(cameras)} pictures", _PIXEL_BYTES * pixels)
@@ -104,7 +91,7 @@ def find_depths(views: Views, focus: float) -> Depths:
     ]
     ends = [(1 / ranges[number][0], 1 / float(far[number])) for number in range(len(cameras))]
     swept = [_swept(pictures, number, near[number], ends[number]) for number in range(len(cameras))]
-    made, alike, agreed = [], 0, 0
+    made, alike, agreed = dict[int, DepthMap](), 0, 0
     for number, own in enumerate(swept):
         others = [swept[other] for other in near[number]]
         if own is None or not any(other is not None for other in others):
@@ -121,12 +108,12 @@ def find_depths(views: Views, focus: float) -> Depths:
         known &= sky == 0
         if known.any() or sky.any():
             inverse = np.where(sky > 0, -np.inf, _filled(own.inverse, known))
-            made.append(own._replace(inverse=inverse, known=known, sky=sky))
+            made[number] = own._replace(inverse=inverse, known=known, sky=sky)
     enough = len(cameras) >= _LEAST_VIEWS and alike >= _LEAST_ALIKE * pixels
     return Depths(made, Overlap(share, agreed / alike if enough else None, tuple(sorted(alone))))
 
 
-def vote(maps: list[DepthMap], centre: Points, widths: Floats) -> Votes:
+def vote(maps: Collection[DepthMap], centre: Points, widths: Floats) -> Votes:
     """Return what the maps say about cells of these widths (n,) around these centres (n, 3).
 
     A surface lies in a cell if at least a third of the views that know the depth there see it in the cell, or if none
@@ -143,7 +130,7 @@ def vote(maps: list[DepthMap], centre: Points, widths: Floats) -> Votes:
     return Votes(empty, surface)
 
 
-def _vote(maps: list[DepthMap], centre: Points, widths: Floats) -> Votes:
+def _vote(maps: Collection[DepthMap], centre: Points, widths: Floats) -> Votes:
     through, at = (np.zeros(len(centre), np.int32) for _ in range(2))
     shown, guessed = (np.zeros(len(centre), bool) for _ in range(2))
     for camera, inverse, known, step, sky in maps:

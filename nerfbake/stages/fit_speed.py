@@ -33,7 +33,9 @@ def measure_speed(gpu: Gpu) -> float:
     targets = np.full((_PIXELS**2, 4), 0.5, np.float32)
     optics = 2.0 * _PIXELS, 2.0 * _PIXELS, _PIXELS / 2, _PIXELS / 2
     eye, turn = np.array([0.0, 0.0, 2.0]), np.eye(3)
-    pixels = Pixels(numbers.reshape(-1).astype(np.int32), targets, eye, turn, optics, _PIXELS, (1.0, 1.0, 1.0))
+    background, unknown = (1.0, 1.0, 1.0), np.zeros(0, np.float32)
+    numbers = numbers.reshape(-1).astype(np.int32)
+    pixels = Pixels(numbers, targets, eye, turn, optics, _PIXELS, background, unknown)
     view, ones = passes.upload_view(pixels), np.ones(_BASIS, np.float32)
     visit = DeviceVisit(view, 2, Losses(2.0), np.ones(3), LearningRates(0.1, 0.4, ones, 0.01 * ones, 4.0))
     passes.visit([visit], counted=True)

@@ -44,6 +44,8 @@ _START_DENSITY = 0.03  # per cell width, in the visual hull: thicker fog hides t
 # Weights of the distortion loss. Scenery has it in all stages. An object has it, for distances in cells, only in the
 # stages with the schedule's full resolution: with larger cells, a wrong surface could win and hide the right one.
 _DISTORTION, _OBJECT_DISTORTION = 0.005, 0.0002
+# Weight of the depth loss: where neighbouring pictures show how far a surface is, light must come from there.
+_DEPTH = 0.1
 # Residuals above this count less in pictures with scenery or rough masks: what only one view shows, such as a person
 # who walks by or a mistake of a mask, must not change the others.
 _MOST = 0.2
@@ -141,7 +143,11 @@ def continue_fit(
     cells towards those of their neighbours. Raises InvalidScene, MemoryLimit.
     """
     ring = None if views.scenery or views.rough else _RING  # rough masks leave cells outside the object
-    state.device.begin(views, _looks(state, len(views.pictures), ring, tilt))
+    if views.scenery and state.depths is None:
+        with memory.scope():
+            state.depths = find_depths(views, focus_distance(views, state.box))
+    depths = {} if state.depths is None else state.depths.maps
+    state.device.begin(views, depths, _looks(state, len(views.pictures), ring, tilt))
     losses = Losses(focus_distance(views, state.box), point, distortion, most_mean=most_mean, alpha=_alpha(views))
     while not state.done:
         if state.built < state.stage:
@@ -196,10 +202,8 @@ def _rebuild(state: FitState, views: Views) -> None:
     if views.scenery:
         doubled = state.schedule[state.stage].cells > state.schedule[state.stage - 1].cells
         if doubled and len(views.pictures) <= _FEW:
-            if state.depths is None:
-                with memory.scope():
-                    state.depths = find_depths(views, focus_distance(views, state.box))
-            cells = follow_depths(cells, state.depths.maps, state.box)
+            assert state.depths is not None, "continue_fit() finds them"
+            cells = follow_depths(cells, state.depths.maps.values(), state.box)
         close_wall(cells)
     state.replace_cells(cells)
 
@@ -269,7 +273,7 @@ def _visit(state: FitState, views: Views, losses: Losses) -> None:
     stage, count, gains = state.schedule[state.stage], len(views.pictures), len(state.gains) > 0
     order = _order(state.seed, state.stage, state.epoch, count)
     if views.scenery:
-        losses = losses._replace(distortion=_DISTORTION)
+        losses = losses._replace(distortion=_DISTORTION, depth=_DEPTH)
     elif stage.cells < state.schedule.resolution:
         losses = losses._replace(distortion=0.0, most_mean=np.inf)
     else:

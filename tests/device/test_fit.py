@@ -43,7 +43,8 @@ def pixels(seed: int) -> Pixels:
     targets = random.integers(0, 65536, (len(numbers), 4)).astype(np.float32) / np.float32(65535)
     targets[::3, 3] = 1
     turn = np.stack([right, np.cross(back, right), back], axis=1)
-    return Pixels(numbers, targets, 0.5 + 2.5 * back, turn, OPTICS, EDGE, BACKGROUND)
+    distances = random.uniform(1.5, 3.5, len(numbers)).astype(np.float32) * (random.random(len(numbers)) < 0.7)
+    return Pixels(numbers, targets, 0.5 + 2.5 * back, turn, OPTICS, EDGE, BACKGROUND, distances)
 
 
 class OnCpu:
@@ -61,7 +62,8 @@ class OnCpu:
         targets[:, :3] = (targets[:, :3] - ground) / gains.astype(np.float32) + ground
         batch, sums = new_batch(1, len(self.grid.slots), 16384), np.zeros((1, SUMS))
         weights = losses.alpha, losses.point, losses.distortion, losses.focus, losses.most, losses.most_mean
-        march_view(self.grid, batch, FitView(view.eye, directions, targets, background, *weights), sums)
+        own = FitView(view.eye, directions, targets, background, *weights, losses.depth, view.distances)
+        march_view(self.grid, batch, own, sums)
         take_steps(self.grid, batch, view.eye, self.means, self.seen, STEPS)
         return sums.sum(axis=0)
 
@@ -87,6 +89,7 @@ def visited(gpu: Gpu, make: Callable[[], BrickGrid], views: int, losses: Losses,
     [
         (Losses(2.5, 0.08, alpha=0.5), (1.0, 1.0, 1.0)),
         (Losses(2.5, 0.08, distortion=0.3), (1.0, 1.0, 1.0)),
+        (Losses(2.5, 0.08, distortion=0.01, depth=0.5), (1.0, 1.0, 1.0)),
         (Losses(2.5, 0.0, most=0.3, alpha=0.1), (1.2, 0.9, 0.8)),
     ],
 )
@@ -142,9 +145,8 @@ def test_sums_are_coarser_where_many_rays_meet_a_cell_and_the_steps_are_the_same
     ]
     assert unit[0] == 2**20 > unit[1]
     numbers = np.resize(view.numbers, 2_000_000)
-    inside = view._replace(
-        eye=np.array([0.5, 0.5, 0.5]), numbers=numbers, targets=np.resize(view.targets, (2_000_000, 4))
-    )
+    targets, distances = np.resize(view.targets, (2_000_000, 4)), np.zeros(0, np.float32)
+    inside = view._replace(eye=np.array([0.5, 0.5, 0.5]), numbers=numbers, targets=targets, distances=distances)
     with pytest.raises(DeviceError, match=r"a cell may meet 8,000,000 rays of a view; allowed: 131,072"):
         passes._steps_a_unit(cells, DeviceVisit(passes.upload_view(inside), 2, Losses(2.5), np.ones(3), STEPS))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from nerfbake.scene.camera import Cameras, look_at
 from nerfbake.scene.lens import Lens
 from nerfbake.scene.schedule import Schedule, parse_schedule
 from nerfbake.stages._bricks import BrickCells
+from nerfbake.stages._depth_map import DepthMap
 from nerfbake.stages._fit_devices import CpuFit, FitDevice, GpuFit, Look, Visit
 from nerfbake.stages.views_to_field import FitState, measure_state
 from tests.stages.test_scenery import cameras, pictures_of, room
@@ -55,10 +57,20 @@ def visits(count: int, losses: Losses, gains: Any = None) -> list[Visit]:
     return [Visit(losses, gains, steps, number == 0) for number in range(count)]
 
 
+def depths_of(views: Views) -> dict[int, DepthMap]:
+    """Depths of half as many pixels, which are known for most of them."""
+    random, found = np.random.default_rng(4), {}
+    for number, camera in enumerate(views.cameras.cameras):
+        half = replace(camera.reduced(2), lens=None)
+        inverse = random.uniform(0.4, 1.5, (half.height, half.width))
+        found[number] = DepthMap(half, inverse, inverse < 1.2, 0.1, np.zeros(inverse.shape, np.float32))
+    return found
+
+
 def visited(device: FitDevice, views: Views, cells: BrickCells, losses: Losses, gains: Any = None) -> Any:
     """The sums of visits of all views, and the cells after them."""
     count = len(views.pictures)
-    device.begin(views, (Look(number, 1, 2, None, False) for number in range(count)))
+    device.begin(views, depths_of(views), (Look(number, 1, 2, None, False) for number in range(count)))
     sums = device.visit(cells, visits(count, losses, gains), counted=True) if isinstance(device, GpuFit) else None
     if sums is None:
         sums = np.concatenate([device.visit(cells, [each], counted=True) for each in visits(count, losses, gains)])
@@ -81,7 +93,8 @@ def room_views(count: int = 1, lens: Lens | None = None) -> Views:
     [
         (None, Losses(1.6), None),
         (None, Losses(1.6, 0.08, 0.05, 0.2), np.array([1.2, 0.9, 0.8])),
-        (Lens("polynomial", (0.3,)), Losses(1.6), None),
+        (None, Losses(1.6, 0.08, 0.05, depth=0.3), None),
+        (Lens("polynomial", (0.3,)), Losses(1.6, 0.08, 0.05, depth=0.3), None),
         (Lens("fisheye", (0.1,)), Losses(1.6, most=0.3), None),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -24,6 +25,9 @@ from nerfbake.stages.views_to_error import plain_psnr
 from tests.support.brick_fields import BOX, some_shelled_field, some_shells
 
 WHITE = (1.0, 1.0, 1.0)
+NO = np.zeros(0, np.float32)
+INSIDE = np.array([0.05, -0.02, 0.1])
+SURFACES = np.array([0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 0.0], np.float32)  # 0: not known
 SCHEDULE = parse_schedule(
     "cells=32,scale=2,epochs=6,density=0.05..0.03,prune=0.02/cells=32,epochs=4,density=0.03..0.01,split=0.5,prune=0.01"
 )
@@ -70,7 +74,7 @@ def test_rays_through_shells_see_what_the_renderer_sees(shells: int, eye: list[f
     looks = ray_targets(views, 0, scale=1, samples=1, ring=None)
     targets = np.concatenate([seen, np.zeros((len(seen), 1))], axis=1).astype(np.float32)[looks.pixels]
     sums = np.zeros((1, SUMS))
-    view = FitView(looks.eye, looks.directions, targets, np.ones(3, np.float32), 0.0, 0.0, 0.0, 1.0, np.inf, np.inf)
+    view = _view(looks.eye, looks.directions, targets, WHITE)
     march_view(cells.bricks, new_batch(1, len(cells.bricks.slots), cells.n), view, sums)
     # Colours come from a short series, and rays end at a transmittance of 1 %.
     assert np.sqrt(sums[0, 0] / seen.size) < 0.004
@@ -78,17 +82,19 @@ def test_rays_through_shells_see_what_the_renderer_sees(shells: int, eye: list[f
         assert seen.std() > 0.02
 
 
-def loss_and_sums(made: BrickGrid, values: Any, distortion: float) -> tuple[float, Any]:
-    """The distortion loss of some rays, by its definition, and the kernel's sums for the densities."""
-    bricks = made._replace(values=values)
-    directions = np.random.default_rng(2).normal(size=(12, 3)) * [0.3, 0.3, 1]
-    directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
-    targets = np.zeros((12, 4), np.float32)
-    eye = np.array([0.05, -0.02, 0.1])
-    sums = []
-    for weight in (0.0, distortion):
+def _view(eye: Any, directions: Any, targets: Any, background: Any = (0.0, 0.0, 0.0), **fields: Any) -> FitView:
+    own: dict[str, Any] = {"distortion": 0.0, "focus": 1.0, "most": np.inf, "most_mean": np.inf, "depth": 0.0}
+    own |= {"distances": NO, **fields}
+    ground = np.array(background, np.float32)
+    return FitView(eye, directions, targets, ground, alpha_weight=0.0, point_weight=0.0, **own)
+
+
+def density_sums(made: BrickGrid, values: Any, weights: dict[str, float]) -> Any:
+    """What these weights of losses ask of the densities, by the kernel's sums."""
+    bricks, sums = made._replace(values=values), []
+    for own in ({"distortion": 1e-30}, weights):
         batch = new_batch(1, len(bricks.slots), len(bricks.places))
-        view = FitView(eye, directions, targets, np.zeros(3, np.float32), 0.0, 0.0, weight, 1.5, np.inf, np.inf)
+        view = _view(INSIDE, _directions(), np.zeros((12, 4), np.float32), focus=1.5, distances=SURFACES, **own)
         march_view(bricks, batch, view, np.zeros((1, SUMS)))
         total = np.zeros((len(bricks.places), ROW))
         for brick, base in enumerate(batch.base[0]):
@@ -96,17 +102,16 @@ def loss_and_sums(made: BrickGrid, values: Any, distortion: float) -> tuple[floa
                 start, end = bricks.first[brick], bricks.first[brick + 1]
                 total[start:end] += batch.rows[0, base : base + end - start]
         sums.append(total[:, DENSITY_SUM])
-    return _loss(bricks, eye, directions, 1.5), sums[1] - sums[0]
+    return sums[1] - sums[0]
 
 
-def _loss(bricks: BrickGrid, eye: Any, directions: Any, focus: float) -> float:
-    """Sum over rays of sum_ij w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 l_i, with fine steps along each ray."""
+def _on_rays(bricks: BrickGrid) -> Iterator[tuple[Any, Any, Any]]:
+    """The weights of the cells on each ray, their places, and their lengths, with fine steps along the ray."""
     field = field_of_cells(some_shells()._replace(bricks=bricks), BOX, Basis("SH", 1))
-    total = 0.0
-    for direction in directions.astype(np.float64):
+    for direction in _directions().astype(np.float64):
         t = np.linspace(0, 8, 40_001)
         middle = (t[1:] + t[:-1]) / 2
-        row = field.rows_at(eye + middle[:, None] * direction)
+        row = field.rows_at(INSIDE + middle[:, None] * direction)
         change = np.flatnonzero(np.diff(row, prepend=-9))
         ends = np.append(change[1:], len(row))
         row, start, end = row[change], t[change], t[ends]
@@ -114,14 +119,37 @@ def _loss(bricks: BrickGrid, eye: Any, directions: Any, focus: float) -> float:
         depth = field.values[row, -1].astype(np.float64) * (end - start)
         behind = np.exp(-np.cumsum(depth))
         weight = np.concatenate([[1.0], behind[:-1]]) - behind if len(behind) else behind
-        place = 2 * ((start + end) / 2 - focus) / ((start + end) / 2 + focus)
-        length = (end - start) * (2 - place) ** 2 / (4 * focus)
-        total += float((weight[:, None] * weight * np.abs(place[:, None] - place)).sum())
-        total += float((weight**2 * length).sum() / 3)
+        place = _place((start + end) / 2)
+        yield weight, place, (end - start) * (2 - place) ** 2 / (4 * 1.5)
+
+
+def _place(t: Any) -> Any:
+    return 2 * (t - 1.5) / (t + 1.5)
+
+
+def _distortion(bricks: BrickGrid) -> float:
+    """Sum over rays of sum_ij w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 l_i."""
+    return sum(
+        float((weight[:, None] * weight * np.abs(place[:, None] - place)).sum() + (weight**2 * length).sum() / 3)
+        for weight, place, length in _on_rays(bricks)
+    )
+
+
+def _depth_loss(bricks: BrickGrid) -> float:
+    """Sum over rays of sum_i w_i a_i: how far before a known surface light comes from, or, up to a limit, behind it."""
+    total = 0.0
+    for (weight, place, _), surface in zip(_on_rays(bricks), SURFACES.astype(np.float64), strict=True):
+        apart = place - _place(surface)
+        away = np.where(apart < 0, np.maximum(-apart - 0.02, 0), np.clip(apart - 0.02, 0, 0.03))
+        total += float((weight * away).sum()) if surface > 0 else 0.0
     return total
 
 
-def test_sums_of_the_distortion_loss_are_its_slope() -> None:
+@pytest.mark.parametrize(
+    ("weights", "loss_of"),
+    [({"distortion": 0.5}, _distortion), ({"distortion": 1e-30, "depth": 0.5}, _depth_loss)],
+)
+def test_sums_of_losses_along_a_ray_are_their_slopes(weights: Any, loss_of: Callable[[BrickGrid], float]) -> None:
     cells = some_shells()
     made = cells.bricks
     start = np.repeat(made.first[:-1], np.diff(made.first))
@@ -130,14 +158,14 @@ def test_sums_of_the_distortion_loss_are_its_slope() -> None:
     width = (made.width[(np.argwhere(made.top >= 0)[:, 0] // 8)]).repeat(np.diff(made.first)) * (1 + (made.places & 1))
     values = made.values.copy()
     values[place] *= 0.3  # no ray ends early
-    loss, sums = loss_and_sums(made, values, 0.5)
-    assert loss > 0
+    assert loss_of(made._replace(values=values)) > 0
+    sums = density_sums(made, values, weights)
     for cell in np.argsort(-np.abs(sums))[:4]:
         losses = []
         for step in (-1e-2, 1e-2):
             moved = values.copy()
             moved[place[cell]] += step
-            losses.append(_loss(made._replace(values=moved), np.array([0.05, -0.02, 0.1]), _directions(), 1.5))
+            losses.append(loss_of(made._replace(values=moved)))
         slope = (losses[1] - losses[0]) / 2e-2 * width[cell]
         assert_allclose(sums[cell], -0.5 * slope, rtol=0.03, atol=1e-4)
 
@@ -219,7 +247,7 @@ def test_what_one_view_shows_alone_has_a_bounded_effect() -> None:
     for most, beyond in ((9.0, 0.2), (0.2, 1.0), (9.0, 0.1), (0.2, 0.1)):
         batch = new_batch(1, len(cells.bricks.slots), cells.n)
         target = np.ones((1, 4), np.float32)
-        view = FitView(eye, directions, target, ground, 0.0, 0.0, 0.0, 1.0, most, np.inf)
+        view = _view(eye, directions, target, ground, most=most)
         march_view(cells.bricks, batch, view, sums)
         target[0, :3] = np.sqrt(sums[0, 4:]) + beyond  # the rendered colour, and more
         batch = new_batch(1, len(cells.bricks.slots), cells.n)
@@ -239,7 +267,7 @@ def test_what_neighbours_show_together_has_a_bounded_effect() -> None:
 
     def blame(most_mean: float) -> float:
         batch = new_batch(1, len(cells.bricks.slots), cells.n)
-        view = FitView(eye, directions, targets, ground, 0.0, 0.0, 0.0, 1.0, np.inf, most_mean)
+        view = _view(eye, directions, targets, ground, most_mean=most_mean)
         march_view(cells.bricks, batch, view, sums)
         return float(batch.rows[0, : batch.used[0], BLAME].sum())
 

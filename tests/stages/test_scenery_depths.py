@@ -16,9 +16,10 @@ from nerfbake.kernels.fit.bricks import values_by_cell
 from nerfbake.scene.lens import Lens
 from nerfbake.scene.schedule import parse_schedule
 from nerfbake.stages._bricks import BrickCells, cell_places, cells_of_solid
+from nerfbake.stages._depth_map import DepthMap
 from nerfbake.stages._fit_state import FitState
 from nerfbake.stages._scenery import follow_depths, start_scenery
-from nerfbake.stages._scenery_depths import DepthMap, Depths, find_depths, vote
+from nerfbake.stages._scenery_depths import Depths, find_depths, vote
 
 HEIGHT, EDGE = 5.0, 64
 BOX = np.array([[-4.0, -4, -4], [4, 4, 4]])
@@ -57,7 +58,7 @@ def depths() -> Depths:
 
 @pytest.fixture(scope="module")
 def maps(depths: Depths) -> list[DepthMap]:
-    return depths.maps
+    return [*depths.maps.values()]
 
 
 def test_the_depth_of_a_plane_is_known(maps: list[DepthMap]) -> None:
@@ -69,7 +70,7 @@ def test_the_depth_of_a_plane_is_known(maps: list[DepthMap]) -> None:
 
 
 def test_a_lens_changes_no_depth() -> None:
-    bent = find_depths(above(Lens("polynomial", (-0.2,))), HEIGHT).maps
+    bent = find_depths(above(Lens("polynomial", (-0.2,))), HEIGHT).maps.values()
     assert len(bent) == 8
     for found in bent:
         assert not found.camera.bends
@@ -109,7 +110,7 @@ def test_depths_count_as_memory() -> None:
 
 
 def test_unknown_depths_are_those_of_the_farther_side() -> None:
-    for found in find_depths(above(block=2.0), HEIGHT).maps:
+    for found in find_depths(above(block=2.0), HEIGHT).maps.values():
         known = found.inverse[found.known]
         assert ((np.abs(known * 5 - 1) < 0.04) | (np.abs(known * 3 - 1) < 0.04)).mean() > 0.9
         assert (found.inverse[~found.known] < 1 / 3).mean() > 0.5

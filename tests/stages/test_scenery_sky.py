@@ -10,8 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nerfbake import Camera, Cameras
 from nerfbake.kernels.arrays import Floats, Singles
+from nerfbake.stages._depth_map import DepthMap
 from nerfbake.stages._ray_targets import reduced_view
-from nerfbake.stages._scenery_depths import DepthMap, vote
+from nerfbake.stages._scenery_depths import vote
 from nerfbake.stages._scenery_sky import distance_within, find_sky, upward
 from tests.support.yards import yard
 

@@ -148,9 +148,9 @@ def test_rays_are_tilted_in_all_epochs_but_the_last(monkeypatch: pytest.MonkeyPa
     found: list[Look] = []
     begin = CpuFit.begin
 
-    def noted(self: CpuFit, views: Views, looks: Iterator[Look]) -> None:
+    def noted(self: CpuFit, views: Views, depths: Any, looks: Iterator[Look]) -> None:
         found[:] = looks
-        begin(self, views, iter(found))
+        begin(self, views, depths, iter(found))
 
     monkeypatch.setattr(CpuFit, "begin", noted)
     views = sample_views()

@@ -31,6 +31,8 @@ from nerfbake.kernels.parallel import taken_in_turn
 
 SUMS = 7
 OPAQUE = 0.01  # transmittance below which a ray stops
+_MARGIN = 0.02  # on the scale of places along a ray: light this close to a known surface is right
+_BEHIND = 0.03  # most that light behind the margin counts: depths at edges are often those of what is nearer
 _NEAR = 64  # pixels over which a mean residual runs, as many as in a tile
 _PER = 64  # table entries for one unit of optical depth
 _FALL = exp(-np.arange(40 * _PER) / _PER)
@@ -46,6 +48,9 @@ class FitView(NamedTuple):
     scale that is linear near the camera and ends at infinity; focus: its middle, in world units. most: the largest
     residual of a channel that counts in full; those of other pixels are scaled down to it. most_mean: the largest mean
     residual of neighbouring pixels that counts in full; where it is larger, their residuals are scaled down by as much.
+    depth: weight of the depth loss, which counts only together with the distortion loss, and on its scale: it pulls the
+    light of a ray to where pictures show a surface. distances (pixels,): of that surface from the eye, 0 if it is not
+    known; or (0,) without this loss.
     """
 
     eye: Floats
@@ -58,6 +63,8 @@ class FitView(NamedTuple):
     focus: float
     most: float
     most_mean: float
+    depth: float
+    distances: Singles
 
 
 class TaskState(NamedTuple):
@@ -389,6 +396,17 @@ def _depth(t: float, focus: float) -> float:
 
 
 @compiled(merged=True)
+def _away(apart: float) -> float:
+    """Return how wrong light is that comes from so far behind a known surface, or before it (negative).
+
+    Light before a surface is certainly wrong. What is behind may be right at an edge, so it counts little.
+    """
+    if apart < 0:
+        return max(-apart - _MARGIN, 0.0)
+    return min(max(apart - _MARGIN, 0.0), _BEHIND)
+
+
+@compiled(merged=True)
 def _accumulate_back(
     bricks: BrickGrid,
     batch: TaskBuffers,
@@ -403,7 +421,8 @@ def _accumulate_back(
     """Replay the hits of a ray from the last to the first. `seen`: the residual of its pixel, in colour and alpha.
 
     The distortion loss is sum_ij w_i w_j |m_i - m_j| + 1/3 sum_i w_i^2 l_i with the weights w, the places m, and the
-    lengths l on the scale of the places. Source: Mip-NeRF 360 (Barron et al., 2022), equation 15.
+    lengths l on the scale of the places. Source: Mip-NeRF 360 (Barron et al., 2022), equation 15. The depth loss is
+    sum_i w_i _away(m_i - m) with the place m of the known surface.
     """
     left = np.float64(own.through[last - 1]) if last > first else 1.0
     # The sums of the weights and of weight times place over the hits ahead, and the same over those behind.
@@ -413,6 +432,9 @@ def _accumulate_back(
             ahead_moment += (before - np.float64(own.through[hit])) * own.depth[hit]
             before = np.float64(own.through[hit])
     behind_weight, behind_moment, behind_slope, per_focus = 0.0, 0.0, 0.0, 1 / (4 * view.focus)
+    known, surface, behind_away = False, 0.0, 0.0
+    if view.distortion > 0 and view.depth > 0 and view.distances[pixel] > 0:
+        known, surface = True, _depth(np.float64(view.distances[pixel]), view.focus)
     s0, s1, s2 = left * view.background[0], left * view.background[1], left * view.background[2]
     r0, r1, r2, ra = own.seen[0], own.seen[1], own.seen[2], view.alpha_weight * own.seen[3] * left
     g0, g1, g2 = view.targets[pixel, 0], view.targets[pixel, 1], view.targets[pixel, 2]
@@ -439,6 +461,10 @@ def _accumulate_back(
             asked -= view.distortion * length * (behind * slope - behind_slope)
             behind_slope += weight * slope
             behind_weight, behind_moment = behind_weight + weight, behind_moment + weight * depth
+            if known:
+                away = _away(depth - surface)
+                asked -= view.depth * length * (behind * away - behind_away)
+                behind_away += weight * away
         _add_slope(bricks, batch, task, own, smooth, hit, asked)
         squares = j0 * j0 + j1 * j1 + j2 * j2 + view.alpha_weight * ja * ja
         if smooth:

@@ -13,6 +13,8 @@ override back = false;
 override smoothed = false;  // densities are interpolated
 const OPAQUE = 0.01;  // transmittance below which a ray stops
 const MOST_STEPS = 65536;
+const MARGIN = 0.02;  // on the scale of places along a ray: light this close to a known surface is right
+const BEHIND = 0.03;  // most that light behind the margin counts
 
 struct Corner {
     raw: f32,
@@ -46,6 +48,16 @@ fn partInCube(shell: i32, direction: vec3f) -> vec2f {
 // Replace components near 0 (rays parallel to an axis), to avoid a division by 0.
 fn steady(direction: vec3f) -> vec3f {
     return select(direction, vec3f(1e-12), abs(direction) < vec3f(1e-12));
+}
+
+// A place along a ray, -2 at the camera to 2 at infinity; near the focus about log(t / focus).
+fn placeOf(t: f32) -> f32 {
+    return 2.0 * (t - view.losses.w) / (t + view.losses.w);
+}
+
+// How wrong light is that comes from so far behind a known surface, or before it (negative).
+fn awayFrom(apart: f32) -> f32 {
+    return select(clamp(apart - MARGIN, 0.0, BEHIND), max(-apart - MARGIN, 0.0), apart < 0.0);
 }
 
 fn densityAt(row: u32, place: vec3f, perWidth: f32) -> Density {
@@ -82,27 +94,32 @@ fn march(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
     let direction = directionOf(pixel, ray % count);
     let distorted = view.losses.z > 0.0;
     let own = select(1u, 2u, distorted) * ray;
+    let surfaceAt = bitcast<f32>(pixels[4u * pixel + 3u]);
+    let known = view.depth > 0.0 && surfaceAt > 0.0;
+    let surface = placeOf(surfaceAt);
     let edge = 8 * i32(view.edge);
     let shells = i32(view.shellCount);
 
     // Of the whole ray, and of its pixel.
     var whole = vec4f(0.0);
-    var wholeDepth = vec2f(0.0);
+    var wholeDepth = vec3f(0.0);
     var residual = vec4f(0.0);
     var wanted = vec3f(0.0);
     if back {
         whole = rays[own];
-        if distorted { wholeDepth = rays[own + 1u].xy; }
+        if distorted { wholeDepth = rays[own + 1u].xyz; }
         residual = residuals[pixel];
         wanted = targetOf(pixel).rgb;
     }
     let blame = abs(residual.r) + abs(residual.g) + abs(residual.b);
 
-    // Up to the current cell: transmittance, colour, and the sums of weight times depth and of weight times slope.
+    // Up to the current cell: transmittance, colour, and the sums of weight times depth, of weight times slope, and of
+    // weight times what the depth loss counts.
     var through = 1.0;
     var colour = vec3f(0.0);
     var depths = 0.0;
     var slopes = 0.0;
+    var aways = 0.0;
     // The shells from the outermost to the innermost one that the ray enters, and back.
     var deepest = shells;
     for (var shell = shells - 1; shell >= 0; shell--) {
@@ -175,10 +192,11 @@ fn march(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
                     if distorted {
                         let focus = view.losses.w;
                         let middle = t + 0.5 * length;
-                        // A place along the ray, -2 at the camera to 2 at infinity; near the focus about log(t / focus).
-                        let depth = 2.0 * (middle - focus) / (middle + focus);
+                        let depth = placeOf(middle);
+                        let away = select(0.0, awayFrom(depth - surface), known);
                         let scale = (2.0 - depth) * (2.0 - depth) / (4.0 * focus);  // the slope of the places
                         let before = 1.0 - through;
+                        aways += weight * away;
                         if back {
                             let after = behind - whole.a;
                             let later = wholeDepth.x - depths - weight * depth;
@@ -187,6 +205,8 @@ fn march(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
                             slopes += weight * slope;
                             let rest = select(wholeDepth.y - slopes, 0.0, behind == 0.0);
                             asked = -view.losses.z * long * (behind * slope - rest);
+                            let others = select(wholeDepth.z - aways, 0.0, behind == 0.0);
+                            asked -= view.depth * long * (behind * away - others);
                         } else {
                             slopes += weight * (4.0 * (depth * before - depths) + 2.0 / 3.0 * weight * length * scale);
                         }
@@ -235,6 +255,6 @@ fn march(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
     }
     if !back {
         rays[own] = vec4f(colour + through * view.background.rgb, through);
-        if distorted { rays[own + 1u] = vec4f(depths, slopes, 0.0, 0.0); }
+        if distorted { rays[own + 1u] = vec4f(depths, slopes, aways, 0.0); }
     }
 }

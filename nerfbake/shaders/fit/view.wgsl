@@ -36,6 +36,7 @@ struct View {
     tie: f32,                 // the strength of the tie, see tie.wgsl
     tieEdge: f32,             // a difference of densities: a neighbour with this one counts half
     coefficient: u32,         // of each channel that is tied; B: the densities
+    depth: f32,               // weight of the depth loss
 }
 
 @group(0) @binding(0) var<uniform> view: View;

@@ -61,7 +61,8 @@ def rays(samples: int) -> Any:
 
 
 def view_of(directions: Any, targets: Any, point: float = 0.0) -> FitView:
-    return FitView(EYE, directions, targets, np.ones(3, np.float32), 0.0, point, 0.0, 1.0, np.inf, np.inf)
+    white, unknown = np.ones(3, np.float32), np.zeros(0, np.float32)
+    return FitView(EYE, directions, targets, white, 0.0, point, 0.0, 1.0, np.inf, np.inf, 0.0, unknown)
 
 
 def marched(made: BrickGrid, samples: int = 1, tasks: int = 1, point: float = 0.0) -> Any:
