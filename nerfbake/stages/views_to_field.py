@@ -43,7 +43,7 @@ _COVERED = (1 / 16, 1 / 64, 1 / 256)  # pixels of a view; a cell that covers few
 _START_DENSITY = 0.03  # per cell width, in the visual hull: thicker fog hides the colours behind it
 # Weights of the distortion loss. Scenery has it in all stages. An object has it, for distances in cells, only in the
 # stages with the schedule's full resolution: with larger cells, a wrong surface could win and hide the right one.
-_DISTORTION, _OBJECT_DISTORTION = 0.005, 0.0002
+_DISTORTION, _OBJECT_DISTORTION = 0.0025, 0.0002
 # Weight of the depth loss: where neighbouring pictures show how far a surface is, light must come from there.
 _DEPTH = 0.1
 # Residuals above this count less in pictures with scenery or rough masks: what only one view shows, such as a person
@@ -55,7 +55,7 @@ _MOST_MEAN = 0.05
 # After each epoch, cells are tied to their neighbours (docs/tuning.md): the coefficients of each band, and densities.
 # Objects have tied coefficients until cells are divided. A neighbour whose density differs by an edge counts half.
 _TIES, _OBJECT_TIES = (0.01, 0.3, 0.3, 0.3, 0.3), (0.003, 0.09, 0.09, 0.09, 0.09)
-_DENSITY_TIE, _OBJECT_DENSITY_TIE, _EDGE = 0.003, 0.01, 0.03
+_DENSITY_TIE, _EDGE = 0.01, 0.03
 # In all epochs but the last, the four rays of a pixel are turned to the one and to the other side, to (3, 1) eighths of
 # a pixel from its middle: a fit to the same places in each epoch is worse between them.
 _TILT = 0.5
@@ -187,9 +187,9 @@ def _started(views: Views, schedule: Schedule, basis: str, box: Points | None, s
 
 def _ties(state: FitState, *, scenery: bool) -> Ties:
     """Return how strongly the cells are tied to their neighbours after an epoch."""
-    bands, density = (_TIES, _DENSITY_TIE) if scenery else (_OBJECT_TIES, _OBJECT_DENSITY_TIE)
+    bands = _TIES if scenery else _OBJECT_TIES
     tied = scenery or not state.divided
-    return Ties(np.array(bands, np.float32)[band_of(state.cells.B)] if tied else None, density, _EDGE)
+    return Ties(np.array(bands, np.float32)[band_of(state.cells.B)] if tied else None, _DENSITY_TIE, _EDGE)
 
 
 def _rebuild(state: FitState, views: Views) -> None:
