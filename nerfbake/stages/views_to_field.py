@@ -42,8 +42,9 @@ _STEP, _DENSITY_STEP = 1 / 8, 1 / 16  # of rounded coefficients; of rounded dens
 _COVERED = (1 / 16, 1 / 64, 1 / 256)  # pixels of a view; a cell that covers fewer has twice the step for each of these
 _START_DENSITY = 0.03  # per cell width, in the visual hull: thicker fog hides the colours behind it
 # Weights of the distortion loss. Scenery has it in all stages. An object has it, for distances in cells, only in the
-# stages with the schedule's full resolution: with larger cells, a wrong surface could win and hide the right one.
-_DISTORTION, _OBJECT_DISTORTION = 0.0025, 0.0002
+# stages with the schedule's full resolution: with larger cells, a wrong surface could win and hide the right one. So
+# scenery has more of it in the last stage, which makes surfaces sharp.
+_DISTORTION, _LAST_DISTORTION, _OBJECT_DISTORTION = 0.0025, 0.01, 0.0002
 # Weight of the depth loss: where neighbouring pictures show how far a surface is, light must come from there.
 _DEPTH = 0.1
 # Residuals above this count less in pictures with scenery or rough masks: what only one view shows, such as a person
@@ -273,7 +274,8 @@ def _visit(state: FitState, views: Views, losses: Losses) -> None:
     stage, count, gains = state.schedule[state.stage], len(views.pictures), len(state.gains) > 0
     order = _order(state.seed, state.stage, state.epoch, count)
     if views.scenery:
-        losses = losses._replace(distortion=_DISTORTION, depth=_DEPTH)
+        last = state.stage + 1 == len(state.schedule)
+        losses = losses._replace(distortion=_LAST_DISTORTION if last else _DISTORTION, depth=_DEPTH)
     elif stage.cells < state.schedule.resolution:
         losses = losses._replace(distortion=0.0, most_mean=np.inf)
     else:
