@@ -115,7 +115,7 @@ class CpuFit:
             nonlocal targets
             for view, scale, samples, ring, again, tilt in looks:
                 if targets is None:
-                    targets = self._targets = KeptTargets(views, ring=ring, maps=depths)
+                    targets = self._targets = KeptTargets(views, ring=ring, depths=depths)
                 yield targets.of(view, scale=scale, samples=samples, keep=again, tilt=tilt)
 
         self._looks, self._background = prefetched(found()), np.array(views.background, np.float32)

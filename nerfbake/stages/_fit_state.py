@@ -173,7 +173,7 @@ class FitState:
 
     @property
     def overlap(self) -> Overlap | None:
-        """How much pictures with scenery show together. None: not measured, as for a state from a file."""
+        """How much pictures with scenery show together. None: not measured yet, as for a state from a file."""
         return None if self.depths is None else self.depths.overlap
 
     @property

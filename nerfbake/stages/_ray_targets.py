@@ -52,8 +52,8 @@ class KeptTargets:
     `size`: the number of bytes that are kept, for one scale at a time.
     """
 
-    def __init__(self, views: Views, *, ring: int | None, maps: Mapping[int, DepthMap]) -> None:
-        self._views, self._maps, self._ring, self._scale = views, maps, ring, 0
+    def __init__(self, views: Views, *, ring: int | None, depths: Mapping[int, DepthMap]) -> None:
+        self._views, self._depths, self._ring, self._scale = views, depths, ring, 0
         self._kept: dict[int, UsedPixels] = {}
         self._room, self.size = memory.left() // _SHARE, 0
 
@@ -63,7 +63,7 @@ class KeptTargets:
             self._kept, self.size, self._scale = {}, 0, scale
         pixels = self._kept.pop(view, None)
         if pixels is None:
-            pixels = used_pixels(self._views, view, scale, self._ring, self._maps.get(view))
+            pixels = used_pixels(self._views, view, scale, self._ring, self._depths.get(view))
         else:
             self.size -= pixels.size
         if keep and self.size + pixels.size <= self._room:

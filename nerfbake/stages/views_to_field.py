@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +22,7 @@ from nerfbake.scene.basis import parse_basis
 from nerfbake.scene.schedule import Rates, Schedule, Stage
 from nerfbake.scene.views import Views
 from nerfbake.stages._bricks import cells_of_plan, cells_of_solid
+from nerfbake.stages._depth_map import DepthMap
 from nerfbake.stages._fit_devices import Look, Visit, fit_device
 from nerfbake.stages._fit_state import GAINS, FitState, coefficients
 from nerfbake.stages._scenery import close_wall, focus_distance, follow_depths, resolved, start_scenery, wall_of
@@ -152,7 +153,7 @@ def continue_fit(
     losses = Losses(focus_distance(views, state.box), point, distortion, most_mean=most_mean, alpha=_alpha(views))
     while not state.done:
         if state.built < state.stage:
-            _rebuild(state, views)
+            _rebuild(state, views, depths)
         _visit(state, views, losses)
         if state.view == 0:
             state.device.rest()  # the state may be measured now
@@ -193,7 +194,7 @@ def _ties(state: FitState, *, scenery: bool) -> Ties:
     return Ties(np.array(bands, np.float32)[band_of(state.cells.B)] if tied else None, _DENSITY_TIE, _EDGE)
 
 
-def _rebuild(state: FitState, views: Views) -> None:
+def _rebuild(state: FitState, views: Views, depths: Mapping[int, DepthMap]) -> None:
     """Build the cells of the next stage."""
     bricks, B = state.cells.bricks, coefficients(state.schedule, state.basis, state.stage)
     smooth = bricks.smooth and state.stage < state.schedule.smooth
@@ -203,8 +204,7 @@ def _rebuild(state: FitState, views: Views) -> None:
     if views.scenery:
         doubled = state.schedule[state.stage].cells > state.schedule[state.stage - 1].cells
         if doubled and len(views.pictures) <= _FEW:
-            assert state.depths is not None, "continue_fit() finds them"
-            cells = follow_depths(cells, state.depths.maps.values(), state.box)
+            cells = follow_depths(cells, depths.values(), state.box)
         close_wall(cells)
     state.replace_cells(cells)
 

@@ -52,7 +52,7 @@ def require_views(views: Views) -> None:
 
 def find_solid(views: Views, box: Points | None, resolution: int) -> tuple[Bits, Points]:
     """Return the visual hull (R, R, R) bool, and its box; `box` None searches the box."""
-    targets = KeptTargets(views, ring=None, maps={})
+    targets = KeptTargets(views, ring=None, depths={})
     if box is not None:
         return _carved(views, targets, box, resolution), box
     box = _common_cube(views)

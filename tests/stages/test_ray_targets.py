@@ -28,7 +28,7 @@ def same(a: RayTargets, b: RayTargets) -> bool:
 
 @pytest.mark.parametrize("ring", [None, 1])
 def test_kept_targets_are_those_of_the_picture_at_every_scale(views: Views, ring: int | None) -> None:
-    kept = KeptTargets(views, ring=ring, maps={})
+    kept = KeptTargets(views, ring=ring, depths={})
     for scale, samples in ((2, 1), (2, 1), (2, 2), (1, 2), (2, 1)):
         for view in (2, 0, 1):
             fresh = ray_targets(views, view, scale=scale, samples=samples, ring=ring)
@@ -40,7 +40,7 @@ def test_kept_targets_are_those_of_the_picture_at_every_scale(views: Views, ring
 )
 def test_tilted_rays_go_through_a_turned_square(views: Views, tilt: float, places: tuple[tuple[int, int], ...]) -> None:
     own = views.take([1])
-    tilted = KeptTargets(own, ring=None, maps={}).of(0, scale=1, samples=2, keep=False, tilt=tilt)
+    tilted = KeptTargets(own, ring=None, depths={}).of(0, scale=1, samples=2, keep=False, tilt=tilt)
     camera = own.cameras.cameras[0]
     for ray, (x, y) in enumerate(places):
         moved = replace(camera, centre=(camera.cx - x / 8, camera.cy - y / 8))
@@ -66,7 +66,7 @@ def test_targets_are_computed_once_as_long_as_they_fit(views: Views, monkeypatch
             kept.of(view, scale=1, samples=1, keep=keep)
         return list(read)
 
-    kept = KeptTargets(views, ring=None, maps={})
+    kept = KeptTargets(views, ring=None, depths={})
     assert visited(kept, keep=False) == [0, 1, 2]
     assert visited(kept) == [0, 1, 2]
     assert visited(kept) == []
@@ -77,7 +77,7 @@ def test_targets_are_computed_once_as_long_as_they_fit(views: Views, monkeypatch
     assert visited(kept) == [0, 1, 2]
     assert (visited(kept), kept.size) == ([0, 1, 2], 0)
     with memory_limit(8 * 24 * 16 * 20):
-        kept = KeptTargets(views, ring=None, maps={})
+        kept = KeptTargets(views, ring=None, depths={})
         visited(kept)
         assert visited(kept) == [1, 2]
 

@@ -92,7 +92,7 @@ def _view(eye: Any, directions: Any, targets: Any, background: Any = (0.0, 0.0, 
 def density_sums(made: BrickGrid, values: Any, weights: dict[str, float]) -> Any:
     """What these weights of losses ask of the densities, by the kernel's sums."""
     bricks, sums = made._replace(values=values), []
-    for own in ({"distortion": 1e-30}, weights):
+    for own in ({"distortion": 1e-30}, weights):  # the depth loss counts only together with the other
         batch = new_batch(1, len(bricks.slots), len(bricks.places))
         view = _view(INSIDE, _directions(), np.zeros((12, 4), np.float32), focus=1.5, distances=SURFACES, **own)
         march_view(bricks, batch, view, np.zeros((1, SUMS)))
